@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from trinoc.numerics.programs import one_compiles
+from trinoc.numerics.programs import compile_once
 
 
 def test_a_program_is_traced_once_however_many_threads_want_it() -> None:
@@ -23,7 +23,7 @@ def test_a_program_is_traced_once_however_many_threads_want_it() -> None:
 
     def ask(k: int) -> float:
         together.wait(timeout=30)
-        with one_compiles("double of this test"):
+        with compile_once("double of this test"):
             return float(double(jnp.asarray(float(k))))
 
     with ThreadPoolExecutor(4) as threads:
@@ -33,9 +33,9 @@ def test_a_program_is_traced_once_however_many_threads_want_it() -> None:
 
 
 def test_a_block_that_fails_leaves_the_next_one_free() -> None:
-    with pytest.raises(ValueError, match="no program"), one_compiles("fails"):
+    with pytest.raises(ValueError, match="no program"), compile_once("fails"):
         raise ValueError("no program")
     done = []
-    with one_compiles("fails"):
+    with compile_once("fails"):
         done.append(1)
     assert done

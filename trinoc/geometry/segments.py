@@ -23,7 +23,7 @@ from trinoc.numerics.tables import (
     Column,
     ColumnCheck,
     Table,
-    check_number,
+    check_index,
     take_rows,
 )
 from trinoc.numerics.values import Value
@@ -66,7 +66,7 @@ class Junctions(Table):
         Shaped[ArrayLike, "j"],
         Column(ColumnCheck("is no L, T, X or Y", lambda kind, _: np.isin(kind, list("LTXY")))),
     ]
-    junction: Annotated[Int[ArrayLike, "m"], Column(check_number("j", "is no junction"))]
+    junction: Annotated[Int[ArrayLike, "m"], Column(check_index("j", "is no junction"))]
     segment: Annotated[Int[ArrayLike, "m"], Column(NOT_NEGATIVE)]
     end: Annotated[
         Int[ArrayLike, "m"],

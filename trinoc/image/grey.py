@@ -33,7 +33,7 @@ _SMOOTH = np.array([0.25, 0.5, 0.25])
 
 
 class GreyImage(NamedTuple):
-    """A grey image.
+    """A grey image with its white level.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class GreyImage(NamedTuple):
     white : float
         Largest level below saturation; infinite if unknown.
     full : float
-        Level of full white: the smallest of 255, 1023, 4095, 16383 and 65535 that is not exceeded.
+        Level of full white: the smallest of 255, 1023, 4095, 16383 and 65535 that no level exceeds.
         Always 255 for uint8.
     """
 
@@ -59,7 +59,7 @@ class GreyImage(NamedTuple):
         return self.grey.shape[1], self.grey.shape[0]
 
     def in_255ths(self) -> "GreyImage":
-        """The same image scaled to full white at 255."""
+        """Copy of the image with levels scaled so that full white is 255."""
         if self.full == 255:
             return self
         per_255th = self.full / 255
@@ -67,27 +67,28 @@ class GreyImage(NamedTuple):
         return GreyImage(grey, self.quantum / per_255th, self.white / per_255th, 255.0)
 
     def as_8_bit(self) -> UInt8[np.ndarray, "h w"]:
-        """Grey levels scaled to 255 and truncated, as uint8 (h, w)."""
+        """Grey levels, (h, w), scaled so that full white is 255 and truncated to uint8."""
         return np.clip(self.grey * (255 / self.full), 0, 255).astype(np.uint8)
 
 
 def grey_image(image: Shaped[np.ndarray, "..."]) -> GreyImage:
-    """Convert an image of whole or real numbers to grey levels.
+    """Convert an image of integers or real numbers to grey levels.
 
     Parameters
     ----------
     image : (h, w) or (h, w, channels)
-        One channel: grey. Two: grey and alpha. Three: colours in either order. Four: colours and
-        alpha.
+        One channel: grey. Two channels: grey and alpha. Three channels: red, green and blue in
+        either order. Four channels: colours and alpha. Alpha is ignored.
 
     Returns
     -------
     GreyImage
+        The mean of the three colours is the grey level.
 
     Raises
     ------
     InputError
-        If the argument is not an image: another shape or type, less than 16 pixels per side, or
+        If the argument is not an image: wrong shape or type, less than 16 pixels per side, or
         values that are not finite.
     """
     if image is None or isinstance(image, str) or hasattr(image, "__fspath__"):
@@ -138,28 +139,40 @@ def grey_image(image: Shaped[np.ndarray, "..."]) -> GreyImage:
 
 
 def _full_white(largest: float) -> float:
-    """Full white of the smallest bit depth, 8 to 16 bit, that is not below a level."""
+    """Smallest level of full white (8 to 16 bit) that is not below the level `largest`."""
     return next((full for full in FULL_WHITE if largest <= full), max(largest, FULL_WHITE[-1]))
 
 
 def _white(dtype: np.dtype, full: float) -> float:
-    """Largest level below saturation: one 255th below full white.
+    """Largest level below saturation: full white minus 1/255 of it.
 
-    Cameras that shift their bits deliver such levels, too.
+    With this limit, saturation is also detected in images whose bits were shifted by the camera.
+    Infinity for other types than 8 and 16 bit integers.
     """
     return 254 / 255 * full if dtype in (np.uint8, np.uint16) else np.inf
 
 
 def describe_mixed_pixels(image: GreyImage) -> str | None:
-    """Sentence on an interlaced image or a raw mosaic, with the remedy; None for a normal image."""
+    """Return a message if an image is interlaced or a raw mosaic, with the remedy; else None.
+
+    Parameters
+    ----------
+    image : GreyImage
+        The image.
+    """
     return describe_interlacing(image) or describe_mosaic(image)
 
 
 def describe_mosaic(image: GreyImage) -> str | None:
-    """Sentence on a raw colour mosaic, with the remedy; None for a normal image.
+    """Return a message if an image is a raw colour mosaic, with the remedy; else None.
 
-    A mosaic with equal mean levels of all colours, for example under balanced light, is as good as
-    grey.
+    A mosaic whose colours have equal mean levels, for example under balanced light, is not
+    reported, because it can be used like a grey image.
+
+    Parameters
+    ----------
+    image : GreyImage
+        The image.
     """
     steps = image.grey - cv2.sepFilter2D(image.grey, -1, _SMOOTH, _SMOOTH)
     means = [steps[row::2, column::2].mean() for row in (0, 1) for column in (0, 1)]
@@ -173,9 +186,15 @@ def describe_mosaic(image: GreyImage) -> str | None:
 
 
 def describe_interlacing(image: GreyImage) -> str | None:
-    """Sentence on an interlaced image, with the remedy; None for a normal image.
+    """Return a message if an image is interlaced, with the remedy; else None.
 
-    Between two fields, moving edges become combs of light and dark rows.
+    In an interlaced image, even and odd rows are from two moments. Moving edges then look like
+    combs of light and dark rows.
+
+    Parameters
+    ----------
+    image : GreyImage
+        The image.
     """
     levels = image.in_255ths()
     most_combs = _COMB_SHARE * levels.grey.size
@@ -192,9 +211,9 @@ def describe_interlacing(image: GreyImage) -> str | None:
 
 
 def _count_combs(grey: Float[np.ndarray, "h w"], smallest_step: float) -> int:
-    """Number of pixels below which `_COMB_ROWS` - 1 steps between rows alternate in sign.
+    """Number of pixels at which a column of alternating light and dark rows begins.
 
-    `smallest_step` is the smallest absolute step, grey levels.
+    `smallest_step` is the smallest difference of neighbouring rows, grey levels.
     """
     steps = np.diff(grey, axis=0)
     up, fall = ((side * steps > smallest_step).astype(np.uint8) for side in (1, -1))

@@ -34,12 +34,12 @@ _DEPTHS = (np.uint8, np.uint16, np.float32, np.float64)
 
 
 class PictureMaps(NamedTuple):
-    """Position in the old image of each pixel of the new one, as `cv2.remap` expects it.
+    """Maps for `cv2.remap`: for each pixel of a new image, its position in the old image.
 
     Attributes
     ----------
     map_x, map_y : (h, w)
-        For each pixel of the new image, column and row in the old one, px; (0, 0) is the centre of
+        Column and row in the old image for each pixel of the new image, px; (0, 0) is the centre of
         the top-left pixel.
     size_px : (width, height)
         Size of the old image.
@@ -51,7 +51,7 @@ class PictureMaps(NamedTuple):
 
     @property
     def valid(self) -> Bool[np.ndarray, "h w"]:
-        """Mask of the pixels that lie inside the old image, (h, w)."""
+        """Mask of the pixels of the new image that lie inside the old image, (h, w)."""
         width, height = self.size_px
         across = (self.map_x >= -0.5) & (self.map_x <= width - 0.5)
         return across & (self.map_y >= -0.5) & (self.map_y <= height - 0.5)
@@ -67,7 +67,7 @@ class PictureMaps(NamedTuple):
         Returns
         -------
         (h, w) or (h, w, channels)
-            New image of the same type; 0 where it is not valid.
+            New image of the same type; 0 where `valid` is False.
 
         Raises
         ------
@@ -95,26 +95,34 @@ class PictureMaps(NamedTuple):
 
 
 class IdealLens(NamedTuple):
-    """A lens without distortion, and the maps from images of the real lens to its images."""
+    """A lens without distortion, with maps that convert images of the real lens.
+
+    Attributes
+    ----------
+    lens : Intrinsics
+        The lens without distortion.
+    maps : PictureMaps
+        Maps from images of the real lens to images of this lens.
+    """
 
     lens: Intrinsics
     maps: PictureMaps
 
 
 class IdealRig(NamedTuple):
-    """Cameras without distortion, with the maps from the images of the real cameras.
+    """Cameras without distortion, with maps that convert images of the real cameras.
 
     Attributes
     ----------
     rig : Rig
-        Ideal cameras at the same centres. The covariance is empty if that of the real rig does not
-        apply.
+        Cameras without distortion at the centres of the real cameras. The covariance is empty if
+        the covariance of the real rig does not apply.
     maps : dict of PictureMaps
         Maps of each camera.
     disparity : Disparity or None
         Conversion from disparity to depth, for a rectified pair.
     notes : tuple of str
-        Sentences on the loss of common field in a rectified pair.
+        Sentences on the loss of common field of view in a rectified pair.
     """
 
     rig: Rig
@@ -125,9 +133,22 @@ class IdealRig(NamedTuple):
     def resample(
         self, pictures: Mapping[str, Shaped[np.ndarray, "..."]]
     ) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Return the new image of each camera in `pictures`.
+        """Convert images of the real cameras to images without distortion.
 
-        Raises InputError as `PictureMaps.resample`.
+        Parameters
+        ----------
+        pictures : mapping of str to (h, w) or (h, w, channels)
+            Image of each camera, by name.
+
+        Returns
+        -------
+        dict of str to (h, w) or (h, w, channels)
+            New image of each camera.
+
+        Raises
+        ------
+        InputError
+            If the rig has no camera of this name, or an image has the wrong size or type.
         """
         resampled = {}
         for name, picture in pictures.items():
@@ -154,28 +175,29 @@ def undistort(
 def undistort(
     cameras: Intrinsics | Rig, *, alpha: float = 0.0, image_size_px: tuple[int, int] | None = None
 ) -> IdealLens | IdealRig:
-    """Remove the distortion of a lens or of all cameras of a rig; return them with image maps.
+    """Return a lens or a rig without distortion, with maps that convert its images.
 
     Parameters
     ----------
     cameras : Intrinsics or Rig
         Lens or rig with any lens model.
     alpha : float
-        Part of the field that is kept, as in OpenCV. 0: the largest part in which all pixels are
-        valid. 1: the whole field (up to 75 degrees from the axis), with a black border.
+        Part of the field of view that is used, as in OpenCV. 0: the largest part in which all
+        pixels are valid. 1: the whole field of view (up to 75 degrees from the axis), with a black
+        border.
     image_size_px : (width, height), optional
-        Size of the new images. Default: the size of the old ones.
+        Size of the new images. Default: the size of the old images.
 
     Returns
     -------
     IdealLens or IdealRig
-        Pixel shapes and poses do not change. The covariance of a rig is kept. It is dropped if it
-        contains errors of a lens that changes, because a pinhole cannot have them.
+        Pixel shapes and poses do not change. The covariance of a rig stays, unless it contains
+        errors of a lens that changes, because a pinhole lens does not have these parameters.
 
     Raises
     ------
     InputError
-        If the distortion of a lens folds the image.
+        If the distortion of a lens folds the image: two rays have the same pixel.
     """
     check_kind(cameras, (Intrinsics, Rig), "lens or rig", "trinoc.Intrinsics or trinoc.Rig")
     if isinstance(cameras, Intrinsics):
@@ -188,27 +210,27 @@ def undistort(
 def rectify(
     rig: Rig, *, alpha: float = 0.0, image_size_px: tuple[int, int] | None = None
 ) -> IdealRig:
-    """Turn two cameras, without distortion, so that a point has the same row in both images.
+    """Rotate two cameras without distortion so that a point has the same row in both images.
 
     Parameters
     ----------
     rig : Rig
         Two cameras.
     alpha, image_size_px :
-        As in `undistort`. Default size: the larger width and height of the two.
+        As in `undistort`. Default size: the larger width and the larger height of the two images.
 
     Returns
     -------
     IdealRig
         Rectified cameras with the same centres, maps and `disparity`. The covariance of the poses
-        is propagated to first order; it is empty if the lenses have errors.
+        is propagated to first order. It is empty if the lenses have errors.
 
     Raises
     ------
     InputError
         If the cameras have the same centre, or look along their baseline or in opposite directions.
-        If one is in the image of the other, or there are no common rows. If less than a tenth of
-        the common field would remain.
+        If one camera is in the image of the other, or the images have no common rows. If less than
+        a tenth of the common field of view would remain.
 
     Notes
     -----
@@ -238,9 +260,20 @@ def _maps(rig: Rig, ideal: Rig) -> dict[str, PictureMaps]:
 def picture_maps(
     lens: Intrinsics, ideal: Intrinsics, cam_from_ideal: Float[np.ndarray, "3 3"]
 ) -> PictureMaps:
-    """Maps from images of a lens to those of an ideal lens with the same centre.
+    """Maps that convert images of a lens to images of an ideal lens with the same centre.
 
-    `cam_from_ideal` (3, 3) is the rotation from the ideal camera frame to the real one.
+    Parameters
+    ----------
+    lens : Intrinsics
+        Real lens.
+    ideal : Intrinsics
+        Lens without distortion.
+    cam_from_ideal : (3, 3)
+        Rotation from the ideal camera frame to the real camera frame.
+
+    Returns
+    -------
+    PictureMaps
     """
     width, height = ideal.image_size_px
     maps = np.empty((2, height, width), np.float32)
@@ -255,7 +288,10 @@ def picture_maps(
 
 
 def _image_rays(lens: Intrinsics, rays_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
-    """Pixels of rays through a lens, (n, 2); _NOWHERE_PX if the lens does not image the ray."""
+    """Pixels of rays through a lens, (n, 2).
+
+    A ray that the lens does not image has the coordinates _NOWHERE_PX, far outside the image.
+    """
     uv_px = project_points(CAMERA_FRAME, lens.lens, rays_cam)
     # Beyond the fold, a polynomial images rays a second time into the valid part.
     fold = np.cos(lens.lens.fold_angle_rad())

@@ -12,15 +12,15 @@ from trinoc.image.response import AbstractResponse, ResponseLike, find_response
 
 
 class Light(NamedTuple):
-    """Levels and light of an image in 255ths of full white, one scale for all images.
+    """An image as grey levels and as light, both in 255ths of full white.
 
     Attributes
     ----------
     levels : (h, w)
         Grey levels.
     light : (h, w)
-        Light of the levels; the same array as `levels` for a linear response. For a colour image,
-        the mean over the channels.
+        Light that the levels represent; the same array as `levels` for a linear response. For a
+        colour image, the mean over the channels.
     quantum : float
         Step between two levels; 0 for real numbers.
     white : float
@@ -39,7 +39,7 @@ class Light(NamedTuple):
     def from_picture(
         cls, picture: Shaped[np.ndarray, "..."], response: ResponseLike = "linear"
     ) -> "Light":
-        """Compute the light of an image.
+        """Compute the light of an image: its grey levels decoded by the camera's response.
 
         Parameters
         ----------
@@ -74,20 +74,34 @@ class Light(NamedTuple):
 
     @property
     def light_of_white(self) -> float:
-        """Light of the largest level below saturation."""
+        """Light of the largest level below saturation; infinite if unknown."""
         if self.is_linear or not np.isfinite(self.white):
             return self.white
         return float(255 * self.response.light_of(self.white / 255))
 
     def noise_sigma(self, stride: tuple[int, int] = (1, 1)) -> float:
-        """Standard deviation of the light's noise per pixel.
+        """Standard deviation of the noise of the light in one pixel.
 
-        `stride` selects every n-th row and column.
+        Parameters
+        ----------
+        stride : (int, int)
+            Only every n-th row and every m-th column are used.
+
+        Returns
+        -------
+        float
+            In 255ths of full white.
         """
         return level_noise(self.light, self.quantum if self.is_linear else 0.0, stride)
 
     def find_clipped(self, margin_px: int = 0) -> Bool[np.ndarray, "h w"]:
-        """Mask of the saturated pixels, dilated by `margin_px`, (h, w)."""
+        """Mask of the saturated pixels and of the pixels around them, (h, w).
+
+        Parameters
+        ----------
+        margin_px : int
+            Number of pixels by which the mask is dilated.
+        """
         saturated = (self.levels >= self.white).astype(np.uint8)
         side = 2 * margin_px + 1
         return cv2.dilate(saturated, np.ones((side, side), np.uint8)) > 0

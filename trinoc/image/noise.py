@@ -27,24 +27,26 @@ def noise_sigma(
     stride: tuple[int, int] = (1, 1),
     flat: Bool[np.ndarray, "h w"] | None = None,
 ) -> float:
-    """Estimate the standard deviation of the noise, in grey levels, rounding included.
+    """Estimate the standard deviation of the noise, in grey levels.
+
+    The noise of rounding is included.
 
     Parameters
     ----------
     grey : (h, w)
         Grey levels.
     quantum : float, optional
-        Step between two grey levels. Equal values of the mask are spread over this step. 0: plain
-        median, for real numbers. Default: 1 if all levels are whole, else 0.
+        Step between two grey levels. The median is corrected for it. 0: no correction, for real
+        numbers. Default: 1 if all levels are integers, else 0.
     stride : (int, int)
-        Use every n-th row and column only.
+        Only every n-th row and every m-th column are used.
     flat : (h, w) bool, optional
-        Use only these pixels, and of these only those with eight flat neighbours.
+        Mask of the pixels to use. A pixel is used if its eight neighbours are also in the mask.
 
     Returns
     -------
     float
-        NaN if `flat` leaves fewer than 50 pixels.
+        NaN if fewer than 50 pixels can be used.
     """
     rows, columns = stride
     down = grey[:-2:rows] + grey[2::rows] - 2 * grey[1:-1:rows]
@@ -64,9 +66,14 @@ def noise_sigma(
 def level_noise(
     grey: Float[np.ndarray, "h w"], quantum: float, stride: tuple[int, int] = (1, 1)
 ) -> float:
-    """`noise_sigma` of an image, at least the noise of rounding to `quantum`, and never 0.
+    """Standard deviation of the noise, in grey levels, with a positive lower bound.
 
-    For real numbers (`quantum` 0), the lower bound is a ten-thousandth of their range.
+    The bound is the noise of rounding. For real numbers (`quantum` 0), it is 1e-4 of their range.
+
+    Parameters
+    ----------
+    grey, quantum, stride :
+        As in `noise_sigma`.
     """
     noise = noise_sigma(grey, quantum=quantum, stride=stride)
     floor = _ROUNDING_SIGMA * quantum if quantum else _LEAST_OF_RANGE * float(np.ptp(grey))
@@ -74,7 +81,7 @@ def level_noise(
 
 
 def _median(values: Float[np.ndarray, "n"], step: float) -> float:
-    """Median of rounded values, each assumed uniform over its rounding step."""
+    """Median of rounded values, each assumed to be uniform over its rounding step."""
     middle = len(values) // 2
     median = float(np.partition(values, middle)[middle])
     if not step:

@@ -38,43 +38,46 @@ class Parameter(NamedTuple):
 
 
 class AbstractResponse(eqx.Module):
-    """Conversion between light and grey level. The fields of a response are its parameters."""
+    """Conversion between light and grey level. The fields of a response are its parameters.
+
+    Light and level are 0 for black and 1 for full white.
+    """
 
     PARAMETERS: ClassVar[dict[str, Parameter]]
 
     @abc.abstractmethod
     def level_of(self, light: Values | float) -> Values:
-        """Grey level of a light value."""
+        """Grey level of a light value, elementwise."""
 
     @abc.abstractmethod
     def light_of(self, level: Values | float) -> Values:
-        """Light of a grey level above black; inverse of `level_of`."""
+        """Light of a grey level above black, elementwise; inverse of `level_of`."""
 
     @abc.abstractmethod
     def slope_at(self, light: Values | float) -> Values:
-        """Derivative of the level by the light."""
+        """Derivative of the grey level with respect to the light, elementwise."""
 
     @property
     @abc.abstractmethod
     def is_linear(self) -> bool:
-        """True if light and level are equal. The response must not be traced."""
+        """True if light and level are equal. The response must not be traced by JAX."""
 
     @property
     @abc.abstractmethod
     def description(self) -> str:
-        """Short description of the curve, for messages."""
+        """Short description of the response curve, used in messages."""
 
 
 class PowerResponse(AbstractResponse):
-    """Family of responses from linear to sRGB and beyond.
+    """Family of response curves from linear to sRGB and beyond.
 
-    The level is ((x + t)^p - t^p) / ((1 + t)^p - t^p) with p = 2.4^-bend. For bend 1 it equals
-    sRGB's curve (IEC 61966-2-1) to .0002.
+    The level of the light x is ((x + t)^p - t^p) / ((1 + t)^p - t^p) with p = 2.4^-bend and t =
+    0.001. With bend = 1, the curve differs by at most .0002 from that of sRGB (IEC 61966-2-1).
 
     Attributes
     ----------
     bend : float
-        0: linear. 1: sRGB.
+        Curvature of the response: 0 is linear, 1 is sRGB.
     """
 
     bend: ScalarLike = 0.0
@@ -90,7 +93,7 @@ class PowerResponse(AbstractResponse):
     _LEAST_LEVEL: ClassVar[float] = 1e-6
 
     def level_of(self, light: Values | float) -> Values:
-        """Grey level of a light value; equal to it for bend 0."""
+        """Grey level of a light value, elementwise; equal to the light if `bend` is 0."""
         xp, power = self._namespace_and_power(light)
         base = xp.maximum(light, self._LEAST_LIGHT) + self._TOE
         level = (base**power - self._TOE**power) / self._range(power)
@@ -98,13 +101,13 @@ class PowerResponse(AbstractResponse):
         return level + slope * xp.minimum(light - self._LEAST_LIGHT, 0.0)
 
     def light_of(self, level: Values | float) -> Values:
-        """Light of a grey level above black."""
+        """Light of a grey level above black, elementwise."""
         xp, power = self._namespace_and_power(level)
         base = xp.maximum(level, self._LEAST_LEVEL) * self._range(power) + self._TOE**power
         return base ** (1 / power) - self._TOE
 
     def slope_at(self, light: Values | float) -> Values:
-        """Derivative of the level by the light."""
+        """Derivative of the grey level with respect to the light, elementwise."""
         xp, power = self._namespace_and_power(light)
         return self._slope(xp.maximum(light, self._LEAST_LIGHT) + self._TOE, power)
 
@@ -115,7 +118,7 @@ class PowerResponse(AbstractResponse):
 
     @property
     def description(self) -> str:
-        """Short description of the curve, for messages."""
+        """Short description of the response curve, used in messages."""
         if abs(self.bend - 1) < 0.1:
             return "as sRGB"
         if self.bend < 0:
@@ -139,7 +142,19 @@ _NAMED = {"linear": PowerResponse(0.0), "srgb": PowerResponse(1.0)}
 
 
 def find_response(value: ResponseLike | str) -> AbstractResponse:
-    """Return the response of a name, a bend or a response object. Raises InputError for others."""
+    """Return the response for a name, a number or a response object.
+
+    Parameters
+    ----------
+    value : str, float or AbstractResponse
+        "linear", "srgb", a value of `PowerResponse.bend`, or a response, which is returned
+        unchanged.
+
+    Raises
+    ------
+    InputError
+        If the value is none of these.
+    """
     if isinstance(value, AbstractResponse):
         return value
     lower, upper = PowerResponse.SMALLEST, PowerResponse.LARGEST

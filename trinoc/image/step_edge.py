@@ -23,7 +23,7 @@ _WEAK_INFORMATION = 1e-6
 
 
 def blurred_step(across_px: Any, width_px: Any) -> tuple[Any, Any]:
-    """(share of the step, slope of that share per px) at a distance from the edge; elementwise.
+    """Share of a blurred step at a distance from its edge, with its derivative, elementwise.
 
     Parameters
     ----------
@@ -31,6 +31,10 @@ def blurred_step(across_px: Any, width_px: Any) -> tuple[Any, Any]:
         Signed distance from the edge.
     width_px : array
         Blur: standard deviation of the Gaussian.
+
+    Returns
+    -------
+    Share of the step's height, 0 to 1, and its derivative with respect to the distance, per px.
     """
     xp, reached = (jnp, ndtr) if is_traced(across_px, width_px) else (np, scipy.special.ndtr)
     scaled = across_px / width_px
@@ -40,19 +44,37 @@ def blurred_step(across_px: Any, width_px: Any) -> tuple[Any, Any]:
 def height_of_step(
     slope: Float[np.ndarray, "*n"], variance_px2: Float[np.ndarray, "*n"]
 ) -> Float[np.ndarray, "*n"]:
-    """Height of a step from the slope at its middle, grey levels."""
+    """Height of a blurred step, grey levels, from the slope at its middle.
+
+    Parameters
+    ----------
+    slope : (...)
+        Slope at the middle, grey levels per px.
+    variance_px2 : (...)
+        Variance of the blur.
+    """
     return slope * np.sqrt(2 * np.pi * variance_px2)
 
 
 def log_parabola(
     slope: Float[np.ndarray, "*n 3"], smallest: Float[np.ndarray, "*n 1"] | np.float32 = _SMALLEST
 ) -> tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]:
-    """(rise, bend): first and minus second difference of the logarithm of three slopes.
+    """Differences of the logarithms of three slopes across an edge, one unit apart.
 
-    The slopes are at three positions across an edge, one unit apart. The slope of a blurred step is
-    a Gaussian: its peak is rise / bend beyond the middle position, and its variance is 1 / bend. An
-    oblique section is also a Gaussian, so samples along an image axis suffice. Slopes below
-    `smallest` are replaced by it.
+    The slope of a blurred step is a Gaussian. With the two returned values a and b, its peak is a /
+    b beyond the middle position, and its variance is 1 / b. An oblique section is also a Gaussian.
+    Samples along an image axis are therefore sufficient.
+
+    Parameters
+    ----------
+    slope : (..., 3)
+        Slopes of the grey level.
+    smallest : scalar or (..., 1)
+        Smaller slopes are replaced by this value.
+
+    Returns
+    -------
+    First difference and negative second difference of the logarithms.
     """
     level = np.log(np.maximum(slope, smallest))
     low, high = level[..., 0] - level[..., 1], level[..., 2] - level[..., 1]
@@ -64,20 +86,35 @@ def peak_of_slope(
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Position of a blurred step relative to the middle sample, and variance of its blur.
 
-    Both follow from the slopes at three positions.
+    Parameters
+    ----------
+    slope : (n, 3)
+        Slopes of the grey level at three positions across the edge, one unit apart.
     """
-    rise, bend = log_parabola(slope)
-    bend = np.maximum(bend, _SMALLEST)
-    return rise / bend, 1 / bend
+    first_difference, curvature = log_parabola(slope)
+    curvature = np.maximum(curvature, _SMALLEST)
+    return first_difference / curvature, 1 / curvature
 
 
 def blur_of_two_slopes(squared_ratio: float, fine_px: float, coarse_px: float) -> float:
-    """Blur of a step, px, from the squared ratio of its slopes after two Gaussian filters.
+    """Blur of a step, px, from its slopes after two Gaussian filters.
 
-    Filtered with a Gaussian of scale a, a step of blur s has the slope height / sqrt(s^2 + a^2). So
-    the ratio of two slopes gives s for any height. Source: S. Zhuo and T. Sim, "Defocus map
-    estimation from a single image", Pattern Recognition 44(9), 2011, doi
-    10.1016/j.patcog.2011.03.009.
+    Parameters
+    ----------
+    squared_ratio : float
+        Square of the slope after the fine filter divided by the slope after the coarse filter.
+    fine_px, coarse_px : float
+        Standard deviations of the filters.
+
+    Notes
+    -----
+    After a Gaussian filter of scale a, a step of height h and blur s has a slope proportional to h
+    / sqrt(s^2 + a^2). The ratio of two slopes therefore determines s for any height.
+
+    References
+    ----------
+    S. Zhuo and T. Sim, "Defocus map estimation from a single image", Pattern Recognition 44(9),
+    2011, doi 10.1016/j.patcog.2011.03.009.
     """
     # For wide blur the ratio is near 1 and gives only a bound.
     variance = (coarse_px**2 - squared_ratio * fine_px**2) / max(squared_ratio - 1.0, 1e-2)
@@ -85,7 +122,19 @@ def blur_of_two_slopes(squared_ratio: float, fine_px: float, coarse_px: float) -
 
 
 class ProfileFit(NamedTuple):
-    """Fitted steps: position, log width, variance of the position and chi-square, (s,) each."""
+    """Blurred steps fitted to s grey profiles.
+
+    Attributes
+    ----------
+    position_px : (s,)
+        Position of each step.
+    log_width : (s,)
+        Logarithm of the blur, px.
+    variance_px2 : (s,)
+        Variance of the position.
+    chi_square : (s,)
+        Chi-square of the levels, without the prior.
+    """
 
     position_px: Float[np.ndarray, "s"]
     log_width: Float[np.ndarray, "s"]
@@ -108,23 +157,23 @@ def fit_profiles(
     precision: Float[np.ndarray, "4"],
     smallest_log_height: float,
 ) -> ProfileFit:
-    """Fit blurred steps to profiles, with a Gaussian prior.
+    """Fit blurred steps to grey profiles, with a Gaussian prior.
 
     Parameters
     ----------
     across_px : (s, b)
-        Distances of the samples of each profile.
+        Distance of each sample of each profile from the edge.
     level : (s, b)
         Grey levels.
     information : (s, b)
-        Inverse variance of each level; 0 excludes it.
+        Inverse variance of each level; 0 excludes the level.
     visible : (s,)
-        Observed height of each step, the unit of the fitted height.
+        Observed height of each step. It is the unit of the fitted height.
     start, prior : (s, 4)
-        Initial and prior values of the unknowns: position, log of the height over `visible`, lower
-        level, log of the width.
+        Initial values and prior means of the unknowns: position, log of the height divided by
+        `visible`, lower level, log of the width.
     precision : (4,)
-        Inverse variance of the prior; 0 for none.
+        Inverse variance of the prior; 0 for no prior.
     smallest_log_height : float
         Lower bound of the second unknown.
     """
@@ -133,7 +182,7 @@ def fit_profiles(
     used = information > 0
     first = np.argsort(~used, axis=1, kind="stable")[:, : used.sum(axis=1).max(initial=1)]
     across_px, level, information = (
-        np.take_along_axis(each, first, axis=1) for each in (across_px, level, information)
+        np.take_along_axis(array, first, axis=1) for array in (across_px, level, information)
     )
     root, precision = np.sqrt(information), np.maximum(precision, _WEAK_INFORMATION)
 
@@ -170,24 +219,25 @@ def fit_profiles(
 
 
 class BlockFit(NamedTuple):
-    """Quadratic form of the log likelihood of an edge in one block of pixels.
+    """Quadratic approximation of the log likelihood of an edge in one block of pixels.
 
     Attributes
     ----------
     information : (3, 3)
-        Of the offsets at both ends and the log of the blur, for noise 1.
+        Information of the offsets of the edge at both ends and the log of the blur, for noise of
+        variance 1.
     gradient : (3,)
-        Gradient of the log likelihood.
+        Gradient of the log likelihood with respect to these parameters.
     square : ()
-        Sum of squared residuals.
+        Sum of the squared residuals.
     count : (2,)
-        Number of fitted pixels on the left and on the right.
+        Numbers of fitted pixels on the left and on the right of the edge.
     column : (c,)
-        Sum over each column of the residuals of usable pixels.
+        Sum of the residuals of the usable pixels in each column.
     inner : (c,)
-        True for columns of the core.
+        True for columns that contain pixels of the core, which is the zone near the edge.
     step : ()
-        Level difference from left to right.
+        Grey level on the right minus grey level on the left.
     """
 
     information: Float[ArrayLike, "3 3"]
@@ -210,32 +260,33 @@ def fit_block(
     state: Float[ArrayLike, "3"],
     noise: ScalarLike,
 ) -> BlockFit:
-    """Quadratic form of the log likelihood of a block of pixels, at a state of the edge.
+    """Quadratic approximation of the log likelihood of an edge in a block of pixels.
 
-    On either side of the line, the level is constant with small slopes across and along; the step
-    between them is blurred. Levels and slopes are linear and are eliminated (variable projection:
-    Golub and Pereyra, 1973, doi:10.1137/0710036).
+    On each side of the edge, the level is constant with small slopes across and along the edge. The
+    step between the two sides is blurred. Levels and slopes are linear parameters and are
+    eliminated (variable projection: Golub and Pereyra, 1973, doi:10.1137/0710036).
 
     Parameters
     ----------
     core : (2,)
-        Half width of the core in blur widths, plus px.
+        Half width of the core, which is the fitted zone near the edge: core[0] blur widths plus
+        core[1] px.
     slopes : (2,)
-        Prior standard deviations of the slopes across and along, per px.
+        Prior standard deviations of the slopes across and along the edge, grey levels per px.
     across_px : (r, c)
-        Distance of each pixel from the line.
+        Distance of each pixel from the line through the segment.
     share : (r, c)
-        Position of each pixel along the line, 0 at the first end, 1 at the second.
+        Position of each pixel along the segment: 0 at the first end, 1 at the second end.
     level : (r, c)
         Grey levels.
     usable : (r, c)
-        Pixels that may be fitted.
+        Mask of the pixels that may be fitted.
     reach : (c,)
-        Columns outside the core that are fitted as well.
+        Mask of the columns outside the core that are fitted as well.
     state : (3,)
-        Offsets of the edge at both ends, px, and log of the blur.
+        Offsets of the edge from the line at both ends, px, and log of the blur.
     noise : float
-        Standard deviation of the noise; scales the prior of the slopes.
+        Standard deviation of the noise, grey levels; it scales the prior of the slopes.
     """
     across = across_px - ((1 - share) * state[0] + share * state[1])
     width = jnp.exp(state[2])

@@ -9,7 +9,17 @@ def nearest_levels(
     u_px: Float[np.ndarray, "*n"],
     v_px: Float[np.ndarray, "*n"],
 ) -> Float[np.ndarray, "*n"]:
-    """Grey levels of the nearest pixels; outside the image, those of the nearest border pixel."""
+    """Grey levels of the pixels nearest to image positions.
+
+    For a position outside the image, the level of the nearest border pixel is returned.
+
+    Parameters
+    ----------
+    picture : (h, w)
+        Grey levels.
+    u_px, v_px : (...)
+        Positions.
+    """
     height, width = picture.shape
     column, row = (
         np.rint(coordinate).astype(np.int32).clip(0, side - 1)
@@ -21,16 +31,21 @@ def nearest_levels(
 def list_pixels_across(
     at_px: Int[np.ndarray, "*n 2"], along_u: Bool[np.ndarray, "*n"], half: int
 ) -> Int[np.ndarray, "*n p 2"]:
-    """(column, row) of a pixel and its `half` neighbours on either side, across an edge.
+    """Pixels across an edge: a middle pixel and `half` neighbours on either side.
 
     Parameters
     ----------
     at_px : (..., 2)
-        Middle pixels.
+        Middle pixels (column, row).
     along_u : (...)
-        True: neighbours in the same row. False: in the same column.
+        True: neighbours in the same row. False: neighbours in the same column.
     half : int
         Number of neighbours on either side.
+
+    Returns
+    -------
+    (..., 2 half + 1, 2)
+        Pixels (column, row).
     """
     steps = np.arange(-half, half + 1)
     pixels = np.empty((*along_u.shape, len(steps), 2), at_px.dtype)
@@ -42,9 +57,16 @@ def list_pixels_across(
 def take_levels(
     picture: Shaped[np.ndarray, "h w"], pixels: Int[np.ndarray, "*n 2"]
 ) -> tuple[Shaped[np.ndarray, "*n"], Bool[np.ndarray, "*n"]]:
-    """(level, True if inside the image) of pixels.
+    """Grey levels of pixels, and the mask of the pixels that are inside the image.
 
-    Outside the image, the level of the nearest border pixel is returned.
+    For a pixel outside the image, the level of the nearest border pixel is returned.
+
+    Parameters
+    ----------
+    picture : (h, w)
+        Grey levels.
+    pixels : (..., 2)
+        Pixels (column, row).
     """
     height, width = picture.shape
     column, row = np.moveaxis(pixels, -1, 0)

@@ -30,7 +30,7 @@ from trinoc.match.tracks.matches import Matches, MatchStatus
 from trinoc.match.tuning.every_group import DEFAULT, MatchTuning
 from trinoc.numerics.buckets import bucket
 from trinoc.numerics.precision import ArrayLike, in_float64
-from trinoc.numerics.programs import one_compiles
+from trinoc.numerics.programs import compile_once
 from trinoc.numerics.values import Value
 
 OK = "ok"
@@ -147,7 +147,7 @@ def _match_stacks(
         numbers = [[len(ends) for ends in frames[k].ends_px] for k in stack]
         sizes = bucket(max(map(sum, zip(*numbers, strict=True)))), bucket(len(stack))
         # Each thread has its own JAX settings.
-        with jax.default_device(device), one_compiles("match_frames", len(numbers[0]), *sizes):
+        with jax.default_device(device), compile_once("match_frames", len(numbers[0]), *sizes):
             return in_float64(match_stack)(stack)
 
     with ThreadPoolExecutor(min(multiprocessing.cpu_count(), MAX_THREADS)) as threads:

@@ -27,16 +27,19 @@ Unknowns = tuple[Float[ArrayLike, "q"], Float[ArrayLike, "k w"]]
 
 
 class BlockArrow(lx.AbstractLinearOperator):
-    """Symmetric positive semidefinite arrow matrix over the unknowns (head (q,), blocks (k, w)).
+    """Symmetric positive semidefinite matrix in block-arrow form.
+
+    The unknowns are a head of q numbers, which all groups share, and k blocks of w numbers. Two
+    blocks are not coupled.
 
     Attributes
     ----------
     head : (q, q)
-        Entries of the shared unknowns.
+        Entries of the head.
     coupling : (k, q, w)
         Entries between the head and each block.
     blocks : (k, w, w)
-        Entries of the unknowns of each group.
+        Entries of each block.
     """
 
     head: Float[ArrayLike, "q q"]
@@ -45,10 +48,19 @@ class BlockArrow(lx.AbstractLinearOperator):
 
     @classmethod
     def of_operator(cls, operator: lx.AbstractLinearOperator) -> "BlockArrow":
-        """Read the entries from a linear operator with arrow structure.
+        """Read the entries of a linear operator that has block-arrow form.
 
-        The operator is applied to q + w vectors, for any number of blocks, because blocks do not
-        mix. Raises ValueError if the unknowns are not (head (q,), blocks (k, w)).
+        The operator is applied to only q + w vectors, because the blocks are not coupled.
+
+        Parameters
+        ----------
+        operator : lineax operator
+            Operator on the unknowns (head (q,), blocks (k, w)).
+
+        Raises
+        ------
+        ValueError
+            If the unknowns have another structure.
         """
         structure = operator.in_structure()
         if not isinstance(structure, tuple) or [len(leaf.shape) for leaf in structure] != [1, 2]:
@@ -76,16 +88,25 @@ class BlockArrow(lx.AbstractLinearOperator):
         return cls(head, jnp.swapaxes(coupling, 0, 1), jnp.moveaxis(blocks, 0, 2))
 
     def with_damped_blocks(self, damping: ScalarLike | Float[ArrayLike, "k"]) -> "BlockArrow":
-        """Arrow whose block diagonals are multiplied by 1 + damping.
+        """Copy in which the diagonals of the blocks are multiplied by 1 + damping.
 
-        `damping` is one number, or one per block.
+        Parameters
+        ----------
+        damping : scalar or (k,)
+            One number for all blocks, or one per block.
         """
         count, width, _ = self.blocks.shape
         factor = 1 + jnp.broadcast_to(damping, (count,))[:, None, None] * jnp.eye(width)[None]
         return BlockArrow(self.head, self.coupling, self.blocks * factor)
 
     def mv(self, vector: Unknowns) -> Unknowns:
-        """Product of the arrow and a vector (head, blocks)."""
+        """Product of the matrix and a vector.
+
+        Parameters
+        ----------
+        vector : ((q,), (k, w))
+            Values of the head and of the blocks.
+        """
         head, blocks = vector
         return (
             self.head @ head + jnp.einsum("kqw,kw->q", self.coupling, blocks),
@@ -94,7 +115,7 @@ class BlockArrow(lx.AbstractLinearOperator):
         )
 
     def as_matrix(self) -> Float[Array, "n n"]:
-        """Dense matrix (n, n), head first."""
+        """Dense matrix (n, n) with n = q + k w; the rows of the head come first."""
         count, size, width = self.coupling.shape
         coupling_matrix = jnp.moveaxis(self.coupling, 1, 0).reshape(size, count * width)
         block_matrix = jsl.block_diag(*self.blocks)
@@ -103,66 +124,93 @@ class BlockArrow(lx.AbstractLinearOperator):
         )
 
     def transpose(self) -> "BlockArrow":
-        """The arrow itself, because it is symmetric."""
+        """The matrix itself, because it is symmetric."""
         return self
 
     def in_structure(self) -> PyTree[jax.ShapeDtypeStruct]:
-        """Shapes of (head, blocks) of a vector."""
+        """Shapes of a vector: (head (q,), blocks (k, w))."""
         count, size, width = self.coupling.shape
         dtype = self.coupling.dtype
         return jax.ShapeDtypeStruct((size,), dtype), jax.ShapeDtypeStruct((count, width), dtype)
 
     def out_structure(self) -> PyTree[jax.ShapeDtypeStruct]:
-        """Shapes of (head, blocks) of a product."""
+        """Shapes of a product: (head (q,), blocks (k, w))."""
         return self.in_structure()
 
 
 class Elimination(NamedTuple):
-    """Result of the elimination of an arrow's blocks, with the terms for back substitution.
+    """Schur complement of a block-arrow matrix, with the terms for back substitution.
 
-    A block that is not positive definite determines nothing: its unknowns are set to zero.
+    A block that is not positive definite is ignored: its unknowns become zero.
 
     Attributes
     ----------
     inverse : (k, w, w)
-        Inverse of each block; zeros if it does not exist.
-    follow : (k, w, q)
-        Derivative of each block's unknowns by those of the head.
+        Inverse of each block; zeros if the inverse does not exist.
+    blocks_by_head : (k, w, q)
+        Derivative of each block's unknowns with respect to the unknowns of the head.
     reduced : (q, q)
-        Schur complement of the blocks.
+        Matrix of the head after elimination of the blocks.
     """
 
     inverse: Float[ArrayLike, "k w w"]
-    follow: Float[ArrayLike, "k w q"]
+    blocks_by_head: Float[ArrayLike, "k w q"]
     reduced: Float[ArrayLike, "q q"]
 
     def reduced_side(self, side: Unknowns) -> Float[ArrayLike, "q"]:
-        """Right-hand side of the reduced system, (q,)."""
-        return side[0] + jnp.einsum("kwq,kw->q", self.follow, side[1])
+        """Right-hand side of the head's equations after elimination of the blocks, (q,).
+
+        Parameters
+        ----------
+        side : ((q,), (k, w))
+            Right-hand side of the whole system.
+        """
+        return side[0] + jnp.einsum("kwq,kw->q", self.blocks_by_head, side[1])
 
     def blocks_of(
         self, head: Float[ArrayLike, "q"], side: Float[ArrayLike, "k w"]
     ) -> Float[ArrayLike, "k w"]:
         """Unknowns of the blocks, (k, w), by back substitution.
 
-        `head` has the unknowns of the head; `side` is the right-hand side of the blocks.
+        Parameters
+        ----------
+        head : (q,)
+            Solution for the head.
+        side : (k, w)
+            Right-hand side of the blocks.
         """
         uncoupled = jnp.einsum("kvw,kw->kv", self.inverse, side)
-        return uncoupled + jnp.einsum("kwq,q->kw", self.follow, head)
+        return uncoupled + jnp.einsum("kwq,q->kw", self.blocks_by_head, head)
 
 
 def eliminate(arrow: BlockArrow) -> Elimination:
-    """Eliminate the diagonal blocks of a block-arrow matrix (Schur complement)."""
+    """Eliminate the blocks of a block-arrow matrix by the Schur complement.
+
+    Parameters
+    ----------
+    arrow : BlockArrow
+        The matrix.
+    """
     inverse = jax.vmap(inverse_positive_definite)(arrow.blocks)
     determined = jnp.all(jnp.isfinite(inverse), axis=(1, 2))
     inverse = jnp.where(determined[:, None, None], inverse, 0.0)
-    follow = -jnp.einsum("kvw,kqw->kvq", inverse, arrow.coupling)
-    reduced = arrow.head + jnp.einsum("kqw,kwr->qr", arrow.coupling, follow)
-    return Elimination(inverse, follow, reduced)
+    blocks_by_head = -jnp.einsum("kvw,kqw->kvq", inverse, arrow.coupling)
+    reduced = arrow.head + jnp.einsum("kqw,kwr->qr", arrow.coupling, blocks_by_head)
+    return Elimination(inverse, blocks_by_head, reduced)
 
 
 class FactoredArrow(NamedTuple):
-    """Elimination with the LU factors of its reduced matrix, scaled to a unit diagonal."""
+    """Block-arrow matrix that is prepared for the solution of linear equations.
+
+    Attributes
+    ----------
+    elimination : Elimination
+        Elimination of the blocks.
+    scale : (q,)
+        Square root of the diagonal of the reduced matrix.
+    factors : ((q, q), (q,))
+        LU factors of the reduced matrix, after scaling to a unit diagonal.
+    """
 
     elimination: Elimination
     scale: Float[ArrayLike, "q"]
@@ -170,22 +218,24 @@ class FactoredArrow(NamedTuple):
 
 
 class BlockArrowSolver(lx.AbstractLinearSolver[FactoredArrow]):
-    """Linear solver for arrows by elimination of the blocks, with Levenberg-Marquardt damping.
+    """Linear solver for block-arrow matrices, with Levenberg-Marquardt damping.
+
+    The solver eliminates the blocks.
 
     Attributes
     ----------
     damping : scalar
-        Number added to the diagonal of the reduced matrix, which is scaled to a unit diagonal
-        first. Poorly determined head unknowns then move less.
+        Number added to the diagonal of the reduced matrix, after this matrix is scaled to a unit
+        diagonal. Poorly determined unknowns of the head then move less.
     block_damping : scalar or (k,)
-        Share added to the diagonals of the blocks.
+        Fraction of the diagonals of the blocks that is added to them.
     """
 
     damping: ScalarLike = 0.0
     block_damping: ScalarLike | Float[ArrayLike, "k"] = 0.0
 
     def init(self, operator: lx.AbstractLinearOperator, options: dict[str, Any]) -> FactoredArrow:
-        """Read the arrow, eliminate its blocks, and factor the reduced matrix."""
+        """Prepare a matrix: eliminate its blocks, and factor the reduced matrix."""
         arrow = operator if isinstance(operator, BlockArrow) else BlockArrow.of_operator(operator)
         elimination = eliminate(arrow.with_damped_blocks(self.block_damping))
         # The floor avoids a division by zero in directions without information.
@@ -197,7 +247,21 @@ class BlockArrowSolver(lx.AbstractLinearSolver[FactoredArrow]):
     def compute(
         self, state: FactoredArrow, vector: PyTree[Array], options: dict[str, Any]
     ) -> tuple[PyTree[Array], lx.RESULTS, dict[str, Any]]:
-        """Solve for one right-hand side."""
+        """Solve the equations of a prepared matrix for one right-hand side.
+
+        Parameters
+        ----------
+        state : FactoredArrow
+            Result of `init`.
+        vector : ((q,), (k, w))
+            Right-hand side of the head and of the blocks.
+        options : dict
+            Not used.
+
+        Returns
+        -------
+        Solution (head, blocks), the status, and an empty dict.
+        """
         elimination, scale, factors = state
         head = jsl.lu_solve(factors, elimination.reduced_side(vector) / scale) / scale
         blocks = elimination.blocks_of(head, vector[1])
@@ -208,17 +272,17 @@ class BlockArrowSolver(lx.AbstractLinearSolver[FactoredArrow]):
     def transpose(
         self, state: FactoredArrow, options: dict[str, Any]
     ) -> tuple[FactoredArrow, dict[str, Any]]:
-        """The same state: the matrix is symmetric."""
+        """Prepared transpose of the matrix: the same, because the matrix is symmetric."""
         return state, options
 
     def conj(
         self, state: FactoredArrow, options: dict[str, Any]
     ) -> tuple[FactoredArrow, dict[str, Any]]:
-        """The same state: the matrix is real."""
+        """Prepared complex conjugate of the matrix: the same, because the matrix is real."""
         return state, options
 
     def assume_full_rank(self) -> bool:
-        """True: undetermined unknowns are fixed or damped."""
+        """True, because the solver fixes or damps undetermined unknowns."""
         return True
 
 

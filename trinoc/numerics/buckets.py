@@ -23,7 +23,10 @@ _Possible = tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]
 
 
 def bucket(count: int, *, smallest: int = SMALLEST_BUCKET, finer_above: int | None = None) -> int:
-    """Padded length for a number of rows: `smallest`, doubled until it is at least `count`.
+    """Length to which an array of `count` rows is padded.
+
+    The length is `smallest`, doubled until it is at least `count`. Few different lengths mean few
+    compiled programs.
 
     Parameters
     ----------
@@ -32,8 +35,9 @@ def bucket(count: int, *, smallest: int = SMALLEST_BUCKET, finer_above: int | No
     smallest : int
         Smallest length, a power of two.
     finer_above : int, optional
-        Above this number the length grows in quarters of the power of two. Use it where work on
-        padding costs more than one more compiled program. Every program stays in memory.
+        Above this number of rows, the length increases in quarters of the power of two. Use it if
+        the work on padding costs more than the compilation of one more program. Every program stays
+        in memory.
     """
     power = max(smallest, 1 << max(int(count) - 1, 0).bit_length())
     if finer_above is None or count <= finer_above:
@@ -43,7 +47,17 @@ def bucket(count: int, *, smallest: int = SMALLEST_BUCKET, finer_above: int | No
 
 
 def pad_rows(array: np.ndarray, size: int, filler: float | np.ndarray = 0) -> np.ndarray:
-    """Append rows of `filler` to `array` up to `size` rows."""
+    """Append rows with the value `filler` to an array, up to `size` rows.
+
+    Parameters
+    ----------
+    array : (n, ...)
+        The array.
+    size : int
+        Number of rows of the result.
+    filler : scalar or (...)
+        Value of each appended row.
+    """
     result = np.empty((size, *array.shape[1:]), dtype=array.dtype)
     result[: len(array)] = array
     result[len(array) :] = filler
@@ -51,23 +65,54 @@ def pad_rows(array: np.ndarray, size: int, filler: float | np.ndarray = 0) -> np
 
 
 def in_bucket(function: Callable[[np.ndarray], ArrayLike], rows: np.ndarray) -> np.ndarray:
-    """Apply `function` to rows padded with zeros to a bucket size.
+    """Apply a function to rows that are padded with zeros to the length `bucket(len(rows))`.
 
-    Results of the padding are dropped.
+    Parameters
+    ----------
+    function : callable
+        Function of an array of rows; it returns one result per row.
+    rows : (n, ...)
+        The rows.
+
+    Returns
+    -------
+    (n, ...)
+        Results without those of the padding.
     """
     return np.asarray(function(pad_rows(rows, bucket(len(rows)))))[: len(rows)]
 
 
 def blocks(count: int, size: int) -> Iterator[slice]:
-    """Slices that cover range(count), each of at most `size`; one empty slice for a count of 0."""
+    """Slices of at most `size` items that together cover range(count).
+
+    The result is one empty slice if `count` is 0.
+
+    Parameters
+    ----------
+    count, size : int
+        Number of items, and largest number of items in a slice.
+    """
     return (slice(start, min(start + size, count)) for start in range(0, max(count, 1), size))
 
 
 def in_blocks(function: Callable[..., _Tree], size: int, *columns: np.ndarray) -> _Tree:
-    """Apply `function` to the rows of `columns`, `size` rows at a time; results are NumPy arrays.
+    """Apply a function to the rows of arrays, `size` rows at a time.
 
-    Every call has `size` rows, so memory is bounded and only one program compiles. `function` takes
-    and returns arrays with rows first. It must accept rows of zeros, whose results are dropped.
+    Every call has `size` rows. The memory is therefore bounded, and only one program compiles.
+
+    Parameters
+    ----------
+    function : callable
+        Function of arrays with `size` rows. It returns arrays with one result per row. It must
+        accept rows of zeros, whose results are dropped.
+    size : int
+        Number of rows in a call.
+    *columns : (n, ...)
+        The arrays.
+
+    Returns
+    -------
+    NumPy arrays with n rows, in the structure that `function` returns.
     """
     count = len(columns[0])
     slices = list(blocks(count, size))
@@ -82,9 +127,12 @@ def in_blocks(function: Callable[..., _Tree], size: int, *columns: np.ndarray) -
 
 
 def as_columns(tree: Any) -> Float[ArrayLike, "c h"]:
-    """Stack the leaves of a tree as rows of one array (c, h), in their order.
+    """Stack the arrays of a tree as rows of one array, (c, h).
 
-    A leaf is an array (h,) or an array of such rows.
+    Parameters
+    ----------
+    tree : tree of (..., h)
+        Arrays whose last axis counts the items.
     """
     xp = array_namespace(tree)
     leaves = [xp.asarray(leaf) for leaf in jax.tree.leaves(tree)]
@@ -96,10 +144,23 @@ def as_columns(tree: Any) -> Float[ArrayLike, "c h"]:
 def select_in_blocks(
     function: Callable[[np.ndarray], _Possible], size: int, rows: Int[np.ndarray, "m k"]
 ) -> tuple[Int[np.ndarray, "_"], Float[np.ndarray, "c _"]]:
-    """(indices of the selected rows, their columns) by a test of `size` rows at a time.
+    """Select rows by a test, `size` rows at a time.
 
-    `function` returns a mask and columns for its rows. It must accept rows of zeros. Up to FEW_ROWS
-    rows are tested in one call without padding.
+    Up to FEW_ROWS rows are tested in one call without padding.
+
+    Parameters
+    ----------
+    function : callable
+        Function of rows. It returns a mask of the selected rows and an array (c, rows) of values.
+        It must accept rows of zeros.
+    size : int
+        Number of rows in a call.
+    rows : (m, k)
+        The rows.
+
+    Returns
+    -------
+    Indices of the selected rows, and their values (c, number of selected rows).
     """
     parts = list(blocks(len(rows), size))
     is_small = len(rows) <= FEW_ROWS
@@ -107,16 +168,24 @@ def select_in_blocks(
     results = [function(rows[part] if is_small else pad_rows(rows[part], size)) for part in parts]
     possible, columns = [], []
     for part, (is_possible, values) in zip(parts, results, strict=True):
-        keep = np.flatnonzero(np.asarray(is_possible)[: part.stop - part.start])
-        possible.append(keep + part.start)
-        columns.append(np.asarray(values)[:, keep])
+        selected = np.flatnonzero(np.asarray(is_possible)[: part.stop - part.start])
+        possible.append(selected + part.start)
+        columns.append(np.asarray(values)[:, selected])
     return np.concatenate(possible), np.concatenate(columns, axis=1)
 
 
 def split_columns(
     columns: Float[np.ndarray, "c m"], shapes: Sequence[tuple[int, ...]]
 ) -> Iterable[Float[np.ndarray, "..."]]:
-    """Inverse of `as_columns`: one array per shape, with items first."""
+    """Inverse of `as_columns`: one array per shape, whose first axis counts the items.
+
+    Parameters
+    ----------
+    columns : (c, m)
+        Result of `as_columns` for m items.
+    shapes : sequence of tuple of int
+        Shape of the value of one item, for each array.
+    """
     sizes = [int(np.prod(shape)) for shape in shapes]
     parts = np.split(columns, np.cumsum(sizes)[:-1])
     return (

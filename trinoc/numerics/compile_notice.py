@@ -19,16 +19,25 @@ _seconds, _next_at = [0.0], [0.0]
 
 
 def set_compile_notice(notice: Notice) -> None:
-    """Set the function that is called when a program compiles.
+    """Set the function that is called when a program is compiled.
 
-    It is called before the first program, then after every 30 s of compiling.
+    It is called before the first compilation, and then after every 30 s of compiling.
+
+    Parameters
+    ----------
+    notice : callable
+        Function of a bool and a float. True: the program is stored for later processes. Seconds of
+        compiling in this process so far.
     """
     _notices[:] = [notice]
 
 
 @contextlib.contextmanager
 def compiling() -> Iterator[None]:
-    """Context in which a program compiles that the store keeps for later processes."""
+    """Context for the compilation of a program that is stored for later processes.
+
+    It calls the notice function and measures the time.
+    """
     notice_compiling(is_kept=True)
     begin = time.monotonic()
     try:
@@ -38,7 +47,13 @@ def compiling() -> Iterator[None]:
 
 
 def notice_compiling(*, is_kept: bool) -> None:
-    """Call the notices, unless they were called within the last 30 s of compiling."""
+    """Call the notice function, unless less than 30 s of compiling have passed since its last call.
+
+    Parameters
+    ----------
+    is_kept : bool
+        True if the program is stored for later processes.
+    """
     if _seconds[0] >= _next_at[0]:
         _next_at[0] = _seconds[0] + _AGAIN_S
         for notice in _notices:

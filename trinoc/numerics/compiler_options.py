@@ -18,9 +18,18 @@ _TESTED_VERSIONS = ("0.10.",)
 
 
 def quick_compiling(*, optimized: bool = True) -> dict[str, str | bool]:
-    """XLA options for all programs, or for short-running ones (`optimized=False`).
+    """Options of the XLA compiler that shorten the compilation.
 
-    Empty for a version of jaxlib that was not tested.
+    Parameters
+    ----------
+    optimized : bool
+        True for options that do not slow down the program. False for further options, for programs
+        that run for milliseconds only.
+
+    Returns
+    -------
+    dict
+        Empty for a version of jaxlib that was not tested.
     """
     if not jaxlib.version.__version__.startswith(_TESTED_VERSIONS):
         return {}

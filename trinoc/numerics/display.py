@@ -13,18 +13,24 @@ _sources: list[Callable[[], Any]] = []
 
 
 def set_displays(source: Callable[[], Any]) -> None:
-    """Register the loader of the drawing functions; it is called when a value is displayed."""
+    """Register the function that loads the drawing module when a value is displayed.
+
+    Parameters
+    ----------
+    source : callable
+        Function without arguments that returns the module.
+    """
     _sources[:] = [source]
 
 
 class Displayable:
-    """A value with displays for prompts and notebooks."""
+    """A value that can be displayed at a prompt and in notebooks."""
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {_sources[0]().heading(self)}>"
 
     def _repr_html_(self) -> str:
-        """HTML of a table and a small figure, for notebooks."""
+        """HTML of a table and a small figure, used by notebooks."""
         return _sources[0]().html(self)
 
     def plot(self, axes: Any = None, **options: Any) -> Any:
@@ -33,9 +39,9 @@ class Displayable:
         Parameters
         ----------
         axes : matplotlib axes, optional
-            Axes to draw on; new ones by default.
+            Axes to draw on; new axes by default.
         **options :
-            Options of the kind of value, listed in docs/start.md.
+            Options that depend on the class of the value, listed in docs/start.md.
 
         Returns
         -------
@@ -44,7 +50,13 @@ class Displayable:
         return _sources[0]().plot(self, axes, **options)
 
     def show(self, **options: Any) -> Any:
-        """Return the interactive 3-D figure of the report; its `html` is a complete page."""
+        """Return the interactive 3-D figure of the report. Its attribute `html` is a complete page.
+
+        Parameters
+        ----------
+        **options :
+            Options that depend on the class of the value, listed in docs/start.md.
+        """
         return _sources[0]().show(self, **options)
 
     def to_frame(self) -> Any:

@@ -4,7 +4,16 @@ from trinoc.errors import TrinocError
 
 
 class _JaxState:
-    """Flags: JAX has computed in this process; JAX had computed in the parent before the fork."""
+    """State of JAX in this process.
+
+    Attributes
+    ----------
+    has_computed : bool
+        True if JAX has computed in this process.
+    is_lost : bool
+        True if the process was forked after JAX had computed in the parent process. JAX calls would
+        then hang.
+    """
 
     has_computed = False
     is_lost = False
@@ -16,7 +25,7 @@ def note_computation() -> None:
 
 
 def expect_no_fork() -> None:
-    """Raise TrinocError in a process that was forked after JAX had computed."""
+    """Raise `TrinocError` if this process was forked after JAX had computed in its parent."""
     if _JaxState.is_lost:
         raise TrinocError(
             "This process was forked after trinoc had used JAX; a fork does not copy its threads, "
@@ -26,7 +35,7 @@ def expect_no_fork() -> None:
 
 
 def note_fork() -> None:
-    """Record that the process was forked.
+    """Record that this process was forked.
 
     `trinoc/__init__.py` registers this function with `os.register_at_fork`.
     """

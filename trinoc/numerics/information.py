@@ -13,17 +13,18 @@ _FREE_SHARE = 1e-6
 
 
 class Observability(NamedTuple):
-    """Rank and covariance of the parameters that an information matrix determines.
+    """Parameters that an information matrix determines, and their covariance.
 
     Attributes
     ----------
     rank : int
-        Number of directions of the parametrisation that the observations determine.
+        Number of directions in the local coordinates that the observations determine.
     covariance : (k, k)
-        Covariance of the named parameters. NaN in rows and columns of parameters that depend on a
-        free direction, or whose sigma is too large for a linear error.
+        Covariance of the named parameters. NaN in rows and columns of undetermined parameters:
+        those that depend on an undetermined direction, or whose sigma is too large for a linear
+        error.
     gauge : tuple of int
-        Indices of these undetermined parameters.
+        Indices of the undetermined parameters.
     """
 
     rank: int
@@ -33,66 +34,74 @@ class Observability(NamedTuple):
 
 def observability(
     information: Float[np.ndarray, "p p"],
-    parameters_by_chart: Float[np.ndarray, "k p"],
+    parameter_jacobian: Float[np.ndarray, "k p"],
     largest_sigma: Float[np.ndarray, "k"],
 ) -> Observability:
-    """Rank of an information matrix, and the covariance on the directions that it determines.
+    """Determine which parameters an information matrix determines, and their covariance.
 
     Parameters
     ----------
     information : (p, p)
-        Information of the local coordinates, which are scaled alike (rad, shares of the distance).
-        So 1 / eigenvalue is the variance of a direction, and eigenvalues are comparable.
-    parameters_by_chart : (k, p)
-        Derivative of the named parameters by the local coordinates.
+        Information matrix of the local coordinates. Their units are rad and fractions of the
+        distance, so that eigenvalues are comparable: 1 / eigenvalue is the variance along a
+        direction.
+    parameter_jacobian : (k, p)
+        Derivative of the named parameters with respect to the local coordinates.
     largest_sigma : (k,)
         Largest sigma of each parameter for which a linear error is valid.
 
     Notes
     -----
-    No damping: the covariance of an undetermined parameter is NaN, not a made-up number. An example
-    is the pan of a camera that looks straight down.
+    The information is not damped. The covariance of an undetermined parameter is therefore NaN and
+    not a number without meaning. An example is the pan of a camera that looks straight down.
     """
     values, vectors = np.linalg.eigh(information)
     is_real = values > 1e-14 * values.max(initial=0.0)
-    return _of_eigenvalues(values, vectors, is_real, parameters_by_chart, largest_sigma)
+    return _of_eigenvalues(values, vectors, is_real, parameter_jacobian, largest_sigma)
 
 
 def observability_of_root(
     root: Float[np.ndarray, "p p"],
-    parameters_by_chart: Float[np.ndarray, "k p"],
+    parameter_jacobian: Float[np.ndarray, "k p"],
     largest_sigma: Float[np.ndarray, "k"],
 ) -> Observability:
-    """`observability` of the information root^T root, without forming the product.
+    """Like `observability`, for the information matrix root^T root, whose product is not formed.
 
-    It stays accurate for standard deviations whose ratio is up to 1e12; the information matrix
-    itself only up to 1e7.
+    The result is accurate for standard deviations whose ratio is up to 1e12. With the information
+    matrix, it is accurate only up to 1e7.
+
+    Parameters
+    ----------
+    root : (p, p)
+        Square root of the information matrix.
+    parameter_jacobian, largest_sigma :
+        As in `observability`.
     """
     _, values, vectors = np.linalg.svd(root)
     is_real = values > 1e-12 * values[0]
-    return _of_eigenvalues(values**2, vectors.T, is_real, parameters_by_chart, largest_sigma)
+    return _of_eigenvalues(values**2, vectors.T, is_real, parameter_jacobian, largest_sigma)
 
 
 def _of_eigenvalues(
     values: Float[np.ndarray, "p"],
     vectors: Float[np.ndarray, "p p"],
     is_real: Bool[np.ndarray, "p"],
-    parameters_by_chart: Float[np.ndarray, "k p"],
+    parameter_jacobian: Float[np.ndarray, "k p"],
     largest_sigma: Float[np.ndarray, "k"],
 ) -> Observability:
-    """Observability from the eigenvalues and eigenvectors of the information.
+    """Observability from the eigenvalues and eigenvectors of the information matrix.
 
-    `is_real` is False for eigenvalues that are rounding errors.
+    `is_real` is False for an eigenvalue that is a rounding error.
     """
     determined = (values > LARGEST_SIGMA**-2) & is_real
-    free = np.abs(parameters_by_chart @ vectors[:, ~determined])
-    scale = np.linalg.norm(parameters_by_chart, axis=1, keepdims=True)
-    touched = (free > _FREE_SHARE * np.maximum(scale, 1e-300)).any(axis=1)
-    by_direction = parameters_by_chart @ vectors[:, determined]
+    free = np.abs(parameter_jacobian @ vectors[:, ~determined])
+    scale = np.linalg.norm(parameter_jacobian, axis=1, keepdims=True)
+    is_undetermined = (free > _FREE_SHARE * np.maximum(scale, 1e-300)).any(axis=1)
+    by_direction = parameter_jacobian @ vectors[:, determined]
     covariance = (by_direction / values[determined]) @ by_direction.T
-    touched |= np.sqrt(np.diag(covariance)) > largest_sigma
-    covariance[touched] = np.nan
-    covariance[:, touched] = np.nan
+    is_undetermined |= np.sqrt(np.diag(covariance)) > largest_sigma
+    covariance[is_undetermined] = np.nan
+    covariance[:, is_undetermined] = np.nan
     return Observability(
-        int(determined.sum()), covariance, tuple(int(k) for k in np.flatnonzero(touched))
+        int(determined.sum()), covariance, tuple(int(k) for k in np.flatnonzero(is_undetermined))
     )

@@ -22,7 +22,17 @@ _LEAF = 16
 def expand_ranges(
     start: Int[np.ndarray, "n"], stop: Int[np.ndarray, "n"]
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-    """(owner, position): each position of range(start[i], stop[i]), with its i."""
+    """List the integers of all ranges [start[i], stop[i]).
+
+    Parameters
+    ----------
+    start, stop : (n,)
+        Limits of the ranges; `stop` is excluded.
+
+    Returns
+    -------
+    (m,) index i of the range of each integer, and (m,) the integers.
+    """
     count = np.maximum(stop - start, 0)
     owner = np.repeat(np.arange(len(start)), count)
     position = np.take(start - (np.cumsum(count) - count), owner)
@@ -33,10 +43,19 @@ def expand_ranges(
 def overlapping(
     first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"]
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
-    """(i, j) of all pairs of overlapping intervals (low, high), each pair once.
+    """Indices (i, j) of all pairs of overlapping intervals, each pair once.
 
     Of two overlapping intervals, exactly one starts inside the other. A search in the sorted starts
-    therefore finds all pairs and visits no others.
+    therefore finds all pairs, and tests no other pairs.
+
+    Parameters
+    ----------
+    first, second : (n, 2), (m, 2)
+        Two lists of intervals (low, high).
+
+    Returns
+    -------
+    (p,) indices in `first`, and (p,) indices in `second`.
     """
     order_first, order_second = np.argsort(first[:, 0]), np.argsort(second[:, 0])
     starts_first, starts_second = first[order_first, 0], second[order_second, 0]
@@ -57,9 +76,17 @@ def overlapping(
 def blocks_of_overlapping(
     first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"], pairs_per_block: int
 ) -> Iterator[slice]:
-    """Slices of `first` with about `pairs_per_block` overlapping pairs each.
+    """Slices of the first intervals, each with about `pairs_per_block` overlapping pairs.
 
-    A slice of a single row may have more pairs. One empty slice for no rows.
+    A slice with a single interval may have more pairs. The result is one empty slice if `first` is
+    empty.
+
+    Parameters
+    ----------
+    first, second : (n, 2), (m, 2)
+        Two lists of intervals (low, high).
+    pairs_per_block : int
+        Approximate number of pairs of a slice.
     """
     started = np.searchsorted(np.sort(second[:, 0]), first[:, 1], "left")
     ended = np.searchsorted(np.sort(second[:, 1]), first[:, 0], "right")
@@ -77,9 +104,18 @@ def blocks_of_overlapping(
 def pairs_of_equal_keys(
     keys: Int[np.ndarray, "n"], pairs_per_block: int = 1 << 21
 ) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:
-    """(m, n) of all pairs of different positions with equal keys, each pair once.
+    """Yield the indices of all pairs of entries with equal keys, each pair once.
 
-    Yields blocks of about `pairs_per_block` pairs, so that memory is bounded.
+    Parameters
+    ----------
+    keys : (n,)
+        Key of each entry.
+    pairs_per_block : int
+        Approximate number of pairs that are yielded at once. It bounds the memory.
+
+    Yields
+    ------
+    (p,) indices of the first entries, and (p,) indices of the second entries.
     """
     order = np.argsort(keys, kind="stable")
     ordered = keys[order]
@@ -97,7 +133,18 @@ def pairs_of_equal_keys(
 def members(
     start: Int[np.ndarray, "r"], stop: Int[np.ndarray, "r"]
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Int[np.ndarray, "r"]]:
-    """(index, run, first): each member of each run, its run, and where each run begins."""
+    """List the members of all runs. A run is a range [start, stop) of ordered points.
+
+    Parameters
+    ----------
+    start, stop : (r,)
+        Limits of the runs; `stop` is excluded.
+
+    Returns
+    -------
+    (m,) index of the point of each member, (m,) index of its run, and (r,) position of the first
+    member of each run in these lists.
+    """
     run, index = expand_ranges(start, stop)
     count = stop - start
     return index, run, np.cumsum(count) - count
@@ -106,7 +153,21 @@ def members(
 def group_maxima(
     values: Shaped[np.ndarray, "m"], first: Int[np.ndarray, "r"], run: Int[np.ndarray, "m"]
 ) -> tuple[np.ndarray, Int[np.ndarray, "r"]]:
-    """(maximum, position) of each run; the position is relative to the run's first member."""
+    """Maximum of the values of each run, and its position.
+
+    Parameters
+    ----------
+    values : (m,)
+        Value of each member.
+    first : (r,)
+        Position of the first member of each run.
+    run : (m,)
+        Index of the run of each member.
+
+    Returns
+    -------
+    (r,) maxima, and (r,) positions of the maxima relative to the first member of the run.
+    """
     top = np.maximum.reduceat(values, first)
     hits = np.flatnonzero(values == top[run])
     position = np.zeros(len(first), dtype=np.int64)
@@ -116,19 +177,49 @@ def group_maxima(
 
 
 def broadcast_groups(values: Any, group: Group) -> Any:
-    """Value of each row's group, (m, ...); the values themselves without groups."""
+    """Value of the group of each row, (m, ...).
+
+    Parameters
+    ----------
+    values : (groups, ...)
+        One value per group. It is returned unchanged if `group` is None.
+    group : (m,), optional
+        Index of the group of each row; None for a single problem without groups.
+    """
     return values if group is None else np.asarray(values)[group]
 
 
 def take_groups(group: Group, rows: Shaped[np.ndarray, "_"]) -> Int[np.ndarray, "k"] | None:
-    """Groups of some rows, selected by a mask or by indices; None without groups."""
+    """Group indices of selected rows; None for a single problem without groups.
+
+    Parameters
+    ----------
+    group : (m,), optional
+        Index of the group of each row.
+    rows : (m,) or (k,)
+        Mask or indices of the selected rows.
+    """
     return None if group is None else group[rows]
 
 
 def group_sums(
     values: Float[np.ndarray, "m *k"], group: Group, groups: int
 ) -> Float[np.ndarray, "*g"]:
-    """Sum of the rows of each group: (groups, *k), or (*k) without groups."""
+    """Sum of the rows of each group.
+
+    Parameters
+    ----------
+    values : (m, ...)
+        The rows.
+    group : (m,), optional
+        Index of the group of each row; None for a single problem without groups.
+    groups : int
+        Number of groups.
+
+    Returns
+    -------
+    (groups, ...), or (...) if `group` is None.
+    """
     if group is None:
         return np.asarray(values.sum(axis=0))
     columns = values.reshape(len(values), int(np.prod(values.shape[1:]))).T
@@ -139,7 +230,21 @@ def group_sums(
 def group_medians(
     values: Float[np.ndarray, "m"], group: Group, groups: int
 ) -> Float[np.ndarray, "*g"]:
-    """Median of each group; NaN for groups without rows."""
+    """Median of the values of each group; NaN for a group without values.
+
+    Parameters
+    ----------
+    values : (m,)
+        The values.
+    group : (m,), optional
+        Index of the group of each value; None for a single problem without groups.
+    groups : int
+        Number of groups.
+
+    Returns
+    -------
+    (groups,), or a scalar if `group` is None.
+    """
     label = np.zeros(len(values), dtype=np.int64) if group is None else group
     count = np.bincount(label, minlength=1 if group is None else groups)
     ordered = np.append(values[np.lexsort((values, label))], np.nan)
@@ -152,7 +257,15 @@ def group_medians(
 
 
 def point_tree(points_px: Float[np.ndarray, "n 2"]) -> "scipy.spatial.KDTree":
-    """k-d tree for few queries: its construction takes half the time of a balanced tree."""
+    """k-d tree of points, for few queries.
+
+    Its construction takes half the time of a balanced tree.
+
+    Parameters
+    ----------
+    points_px : (n, 2)
+        The points.
+    """
     return scipy.spatial.KDTree(points_px, leafsize=_LEAF, balanced_tree=False, compact_nodes=False)
 
 
@@ -162,7 +275,7 @@ def near_pairs(
     radius_px: float,
     most: int = 8,
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"], Float[np.ndarray, "p"]]:
-    """(i, j, distance) of the nearest second points of each first point, within `radius_px`.
+    """For each first point, the nearest second points within a radius.
 
     Parameters
     ----------
@@ -172,6 +285,10 @@ def near_pairs(
         Largest distance.
     most : int
         Largest number of second points for each first point, at least 2.
+
+    Returns
+    -------
+    (p,) indices of the first points, (p,) indices of the second points, and (p,) distances, px.
     """
     query = point_tree(other_px).query(one_px, k=most, distance_upper_bound=radius_px)
     distance, neighbour = map(np.asarray, query)
@@ -180,7 +297,13 @@ def near_pairs(
 
 
 def distinct(keys: Int[np.ndarray, "p"]) -> Int[np.ndarray, "d"]:
-    """Different keys in ascending order; keys must not be negative. Faster than np.unique."""
+    """Different values of the keys, in ascending order. Faster than `np.unique`.
+
+    Parameters
+    ----------
+    keys : (p,)
+        Integers that are not negative.
+    """
     ordered = np.sort(keys)
     return ordered[np.flatnonzero(np.diff(ordered, prepend=-1))]
 
@@ -188,9 +311,14 @@ def distinct(keys: Int[np.ndarray, "p"]) -> Int[np.ndarray, "d"]:
 def group_labels(
     count: int, one: Int[np.ndarray, "p"], other: Int[np.ndarray, "p"]
 ) -> Int[np.ndarray, "n"]:
-    """Connected components: the smallest index of the component of each item, (n,).
+    """Connected component of each item, (n,): the smallest index of an item in this component.
 
-    `one` and `other` are pairs of connected items.
+    Parameters
+    ----------
+    count : int
+        Number n of items.
+    one, other : (p,), (p,)
+        Indices of the two items of each connected pair.
     """
     label = np.arange(count)
     while True:

@@ -50,7 +50,17 @@ with jax.ensure_compile_time_eval():
 def real_array(value: Any, name: str) -> np.ndarray:
     """Convert an argument to an array of float64.
 
-    Raises InputError, with `name`, if it is not numeric.
+    Parameters
+    ----------
+    value : array-like
+        The argument.
+    name : str
+        Name of the argument, for the message.
+
+    Raises
+    ------
+    InputError
+        If the argument is not numeric.
     """
     try:
         return np.asarray(value, dtype=np.float64)
@@ -59,22 +69,22 @@ def real_array(value: Any, name: str) -> np.ndarray:
 
 
 def is_traced(*trees: Any) -> bool:
-    """True if an array of the trees is traced by `jit`, `grad` or `vmap`."""
+    """True if JAX traces an array of the trees, inside `jit`, `grad` or `vmap`."""
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
 def array_namespace(*trees: Any) -> ModuleType:
-    """`jax.numpy` if an argument is traced, else NumPy."""
+    """Module for array functions: `jax.numpy` if JAX traces an array of the trees, else NumPy."""
     return jnp if is_traced(*trees) else np
 
 
 def is_outside() -> bool:
-    """True if no `jit`, `grad` or `vmap` encloses the call."""
+    """True if the caller is not inside `jit`, `grad` or `vmap`."""
     return get_opaque_trace_state() == _OUTSIDE
 
 
 def as_numpy(tree: Any) -> Any:
-    """Replace every JAX array of a tree by a NumPy array of the same dtype."""
+    """Copy of a tree in which NumPy arrays replace all JAX arrays."""
     return jax.tree.map(_leaf_as_numpy, tree, is_leaf=lambda node: isinstance(node, dict))
 
 
@@ -88,18 +98,18 @@ def _leaf_as_numpy(leaf: Any) -> Any:
 
 
 def as_float(value: Any) -> Any:
-    """Convert one number to a Python float; a traced number is returned unchanged."""
+    """Convert a number to a Python float. A number that JAX traces is returned unchanged."""
     return value if is_traced(value) else float(value)
 
 
 def in_float64(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
-    """Decorator: run `function` with 64-bit JAX arrays and return its result as NumPy.
+    """Decorator: the function computes with 64-bit JAX arrays and returns NumPy arrays.
 
-    The setting is thread-local and ends with the call. A float64 JAX array would become float32 at
-    its next operation outside the call, so results are NumPy arrays.
+    The setting is valid for the current thread, and only during the call. The results are NumPy
+    arrays, because an operation outside the call would convert a float64 JAX array to float32.
 
-    With a traced argument `function` runs unchanged: the trace defines the precision, and the
-    result belongs to it. Inside a trace, constant arguments still give NumPy.
+    If JAX traces an argument, the function runs unchanged: the trace defines the precision. Inside
+    a trace, a call with constant arguments still returns NumPy arrays.
     """
 
     @functools.wraps(function)

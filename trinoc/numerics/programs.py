@@ -44,20 +44,21 @@ _compiled: set[Hashable] = set()
 
 
 def count_numbers(values: Any) -> int:
-    """Number of array entries in a tree."""
+    """Total number of entries of all arrays in a tree."""
     return sum(np.size(leaf) for leaf in jax.tree.leaves(values))
 
 
 @contextlib.contextmanager
-def one_compiles(*program: Hashable) -> Iterator[None]:
-    """Context for a call of a jitted program: other threads wait until it has compiled once.
+def compile_once(*program: Hashable) -> Iterator[None]:
+    """Context for a call of a jitted function: one thread compiles it while other threads wait.
 
-    Threads that meet an uncompiled program would each compile it, with their own time and memory.
+    Without this context, every thread that calls a program before its compilation would compile it,
+    with its own time and memory.
 
     Parameters
     ----------
     program : hashable
-        Everything that distinguishes the program: name, static arguments and shapes.
+        Everything that distinguishes the compiled program: name, static arguments and shapes.
     """
     if program in _compiled:
         yield
@@ -69,40 +70,49 @@ def one_compiles(*program: Hashable) -> Iterator[None]:
 
 @runtime_checkable
 class ProgramStore(Protocol):
-    """Storage of compiled programs. It returns content exactly as stored, or not at all.
+    """Interface of a storage for compiled programs.
 
-    `modules` are the names of the modules that the content depends on. After a change in the source
-    of one of them, or of a module that it imports, the content is not returned.
+    The storage returns a content exactly as it was stored, or None. The argument `modules` contains
+    the names of the modules on which the content depends. After a change in the source of one of
+    these modules, or of a module that one of them imports, the content is not returned.
     """
 
     def get(self, name: str, modules: frozenset[str] = frozenset()) -> bytes | None:
-        """Content stored under the name on this machine, or None."""
+        """Return the content that is stored under the name on this machine, or None."""
         ...
 
     def put(self, name: str, content: bytes, modules: frozenset[str] = frozenset()) -> None:
-        """Store the content. A failure is not an error."""
+        """Store the content under the name. A failure is not an error."""
         ...
 
 
 class _KeptProgram(NamedTuple):
-    """A program on flat lists of arrays, and the tree structure of its result."""
+    """A compiled program.
+
+    Attributes
+    ----------
+    program : callable
+        Function of a list of arrays that returns a list of arrays.
+    result : tree structure
+        Structure of the result, into which the list of arrays is converted.
+    """
 
     program: Callable[[list[Any]], list[Any]]
     result: Any
 
 
 class _StoredProgram(NamedTuple):
-    """A program as the store keeps it, pickled.
+    """Content of the program store for one compiled program, before it is pickled.
 
     Attributes
     ----------
     executable : bytes
-        The program, as JAX serializes it.
+        The compiled program, as JAX serializes it.
     inputs, outputs : int
-        Number of arrays that the program takes and returns.
+        Numbers of arrays that the program has as arguments and as results.
     result : bytes
-        Pickled value with the tree structure of the function's result: structures themselves cannot
-        be pickled.
+        Pickled value whose tree structure is that of the function's result, because a structure
+        itself cannot be pickled.
     uses_lapack : bool
         True if the program calls LAPACK.
     """
@@ -122,13 +132,22 @@ _prefetched: dict[bytes, Future[Callable[[list[Any]], list[Any]]]] = {}
 
 
 def set_program_store(store: ProgramStore | None) -> ProgramStore | None:
-    """Set the store, or None for no store, and return the previous one."""
+    """Set the storage for compiled programs, and return the previous storage.
+
+    Parameters
+    ----------
+    store : ProgramStore, optional
+        The storage; None for no storage.
+    """
     before, _stores[0] = _stores[0], store
     return before
 
 
 def forget_programs() -> None:
-    """Free the memory of all programs, those of `jax.jit` included; the store keeps its copies."""
+    """Free the memory of all compiled programs, including those of `jax.jit`.
+
+    Stored copies remain.
+    """
     for programs in _loaded:
         programs.clear()
     jax.clear_caches()
@@ -141,21 +160,21 @@ def kept_jit(
     optimized_from: int = OPTIMIZED_FROM,
     few_rows_of: str | None = None,
 ) -> Callable[..., Any]:
-    """`jax.jit` of a pure function, whose compiled programs a store may keep.
+    """Like `jax.jit`, with compiled programs that are stored for later processes.
 
     Parameters
     ----------
     function : callable
-        Function without side effects. It uses no outside values except constants of trinoc's
-        modules.
+        Function without side effects. It must depend only on its arguments and on constants of
+        trinoc's modules.
     static_argnames : tuple of str
         As in `jax.jit`.
     optimized_from : int
-        Number of array entries in the arguments from which the program is optimized. For fewer,
-        compiling would take longer than the program ever runs.
+        Number of array entries in the arguments from which the program is optimized. With fewer
+        entries, the optimization would take longer than the program ever runs.
     few_rows_of : str, optional
-        Name of an argument. If it has at most FEW_ROWS rows, array code (`array_namespace`) runs in
-        NumPy without compiling.
+        Name of an argument. If it has at most FEW_ROWS rows, code based on `array_namespace` runs
+        in NumPy without a compilation.
     """
     # Compiler options apply to outermost programs only.
     inner = jax.jit(function, static_argnames=static_argnames)
@@ -213,9 +232,9 @@ def kept_jit(
 
 
 def _calling_module() -> str:
-    """Name of the trinoc module that calls `kept_jit` during its import, or "".
+    """Name of the trinoc module that calls `kept_jit` during its import; "" if there is none.
 
-    Its source is part of the program, for example the axes of a `vmap`.
+    The stored program depends on the source of this module, for example on the axes of a `vmap`.
     """
     frame = inspect.currentframe()
     while frame is not None:
@@ -236,7 +255,12 @@ def _load_or_compile(
     key: tuple[Hashable, ...],
     options: dict[str, str | bool] | None,
 ) -> _KeptProgram | None:
-    """Load the program from the store, or compile and store it; None if it cannot be stored."""
+    """Load a program from the storage, or compile and store it; None if it cannot be stored.
+
+    static : values of the static arguments.
+    tree, leaves : structure of the other arguments, and their arrays.
+    key : everything that distinguishes the program from others of the same function.
+    """
     from jax.experimental import serialize_executable
 
     try:
@@ -286,15 +310,16 @@ def _load_or_compile(
 
 @contextlib.contextmanager
 def prefetch_programs(contents: Iterable[bytes]) -> Iterator[None]:
-    """Context in which a thread loads stored programs before a function asks for them.
+    """Context in which a thread loads stored programs before they are called.
 
-    XLA links a program for up to 0.4 s without Python's lock, while the main thread imports modules
-    and detects patterns. A program that no function asks for, or that cannot be loaded, is ignored.
+    Loading takes up to 0.4 s per program. The main thread can meanwhile import modules or detect
+    patterns, because XLA releases Python's lock. A program that is never called, or that cannot be
+    loaded, is ignored.
 
     Parameters
     ----------
     contents : iterable of bytes
-        Contents of the store, in the order in which they will be needed.
+        Contents of the program store, in the order in which the programs will be called.
     """
     # Imports of the thread could wait for those of the main thread.
     from jax.experimental import serialize_executable  # noqa: F401
@@ -311,7 +336,10 @@ def prefetch_programs(contents: Iterable[bytes]) -> Iterator[None]:
 
 
 def _load_executable(content: bytes) -> Callable[[list[Any]], list[Any]]:
-    """Load the executable of a stored program. No module of trinoc is imported for it."""
+    """Load the executable of a stored program, without an import of trinoc's modules.
+
+    content : pickled `_StoredProgram`.
+    """
     from jax.experimental import serialize_executable
 
     stored: _StoredProgram = pickle.loads(content)
@@ -322,7 +350,7 @@ def _load_executable(content: bytes) -> Callable[[list[Any]], list[Any]]:
 
 @functools.cache
 def _make_lapack_ready() -> None:
-    """Register LAPACK's addresses, which JAX does only when it lowers a call."""
+    """Register the addresses of LAPACK's functions, which JAX does only when it compiles a call."""
     try:
         # The first step of the lowering, without the rest, which takes a tenth of a second.
         from jaxlib.lapack import prepare_lapack_call
@@ -335,9 +363,10 @@ def _make_lapack_ready() -> None:
 def _name(
     function: Callable[..., Any], caller: str, key: tuple[Hashable, ...]
 ) -> tuple[str, frozenset[str]]:
-    """(key, modules) of a program: the key differs if the function or its arguments differ.
+    """Storage name of a program, and the modules on which the program depends.
 
-    A class of an argument adds its module, because the function may know only the base class.
+    The name differs if the function or its arguments differ. The module of an argument's class is
+    included, because the function may refer to the base class only.
     """
     tree, kinds, *rest = key
     kinds = [(k.shape, str(k.dtype), k.weak_type) for k in kinds]  # pyright: ignore
@@ -348,13 +377,14 @@ def _name(
 
 
 class _KnownClassPickler(pickle.Pickler):
-    """Pickler that refuses values of foreign classes, such as a user's own lens.
+    """Pickler that refuses values of unknown classes, such as a user's own lens.
 
-    Such a class may change without notice. The pickler collects the trinoc modules of all classes
-    and functions in the value.
+    Known are the classes of trinoc and of its libraries. An unknown class may change without a
+    change of its name. The pickler collects the trinoc modules of all classes and functions in the
+    value.
     """
 
-    def __init__(self, parts: "_Parts") -> None:
+    def __init__(self, parts: "_ByteChunks") -> None:
         super().__init__(parts, protocol=5)
         self.modules: set[str] = set()
 
@@ -369,16 +399,16 @@ class _KnownClassPickler(pickle.Pickler):
         return NotImplemented
 
 
-class _Parts(list[bytes]):
-    """Output of a pickler in memory: file objects of `io` belong to a higher floor."""
+class _ByteChunks(list[bytes]):
+    """Output of a pickler in memory: a list of chunks of bytes."""
 
     def write(self, part: bytes) -> None:
         self.append(bytes(part))
 
 
 def _pickle_known_classes(value: Any) -> tuple[bytes, set[str]]:
-    """Pickle a value: (content, trinoc modules of the classes and functions in it)."""
-    parts = _Parts()
+    """Pickled value, and the trinoc modules of the classes and functions in it."""
+    parts = _ByteChunks()
     pickler = _KnownClassPickler(parts)
     pickler.dump(value)
     return b"".join(parts), pickler.modules

@@ -25,9 +25,18 @@ SMALLEST_SHARE = 1e-9
 
 
 class Residuals(NamedTuple):
-    """Residuals of h problems at a state, predicted minus observed.
+    """Residuals (predicted minus observed) and Jacobian of h independent problems at their states.
 
-    Each problem has k observations of d numbers.
+    Attributes
+    ----------
+    residual : (h, k, d)
+        Residuals of k observations of d values each, in standard deviations.
+    jacobian : (h, k, d, p)
+        Derivatives of the residuals with respect to the p parameters.
+    weight : (h, k), optional
+        Weight of each observation; 0 for padding.
+    prior_residual, prior_precision : (h, p), optional
+        Difference of each parameter from its prior mean, and inverse variance of the prior.
     """
 
     residual: Float[np.ndarray, "h k d"]
@@ -38,18 +47,18 @@ class Residuals(NamedTuple):
 
 
 class NormalEquations(NamedTuple):
-    """Normal equations, information @ step = -gradient, of each problem, with the misfit.
+    """Normal equations of h independent problems: information @ step = -gradient.
 
     Attributes
     ----------
     information : (h, p, p)
-        J^T W J, plus that of the prior.
+        J^T W J plus the information of the prior.
     gradient : (h, p)
-        J^T W r, plus that of the prior.
+        J^T W r plus the gradient of the prior.
     squared : (h, k)
-        Squared length of each observation's residual, in standard deviations.
+        Squared length of the residual of each observation, in standard deviations.
     weight : (h, k)
-        Weight of each observation: its own times that of the loss.
+        Weight of each observation multiplied by the weight of the robust loss.
     """
 
     information: Float[np.ndarray, "h p p"]
@@ -59,19 +68,31 @@ class NormalEquations(NamedTuple):
 
     @property
     def chi_square(self) -> Float[np.ndarray, "h"]:
-        """Sum of weight times squared residual over the observations, without the prior, (h,)."""
+        """Chi-square of the observations of each problem, (h,), without the prior.
+
+        It is the sum of weight times squared residual.
+        """
         return (self.weight * self.squared).sum(axis=1)
 
     @property
     def finite(self) -> Bool[np.ndarray, "h"]:
-        """True for problems with finite equations: at some states the model has no value, (h,)."""
+        """Mask of the problems with finite equations, (h,).
+
+        At some states, the model has no value.
+        """
         is_finite = np.isfinite(self.information).all(axis=2) & np.isfinite(self.gradient)
         return np.asarray(is_finite.all(axis=1))
 
     def step(self, largest: Float[np.ndarray, "*h p"] | float = np.inf) -> Float[np.ndarray, "h p"]:
-        """Gauss-Newton step, (h, p), shortened so that no parameter changes by more than `largest`.
+        """Gauss-Newton step of each problem, (h, p).
 
-        Free directions do not change. Problems without finite equations do not change.
+        Undetermined directions do not change. A problem whose equations are not finite does not
+        change.
+
+        Parameters
+        ----------
+        largest : (h, p) or float
+            Largest change of each parameter. A step that exceeds it is shortened.
         """
         scaled, scale = self._scale_columns()
         # This small damping does not change determined directions and regularises the others.
@@ -81,11 +102,11 @@ class NormalEquations(NamedTuple):
         return step / np.maximum(np.abs(step / largest).max(axis=1), 1.0)[:, None]
 
     def rank(self) -> Int[np.ndarray, "h"]:
-        """Number of directions that observations and prior determine, (h,)."""
+        """Number of directions that observations and prior determine, for each problem, (h,)."""
         return _are_determined(np.linalg.eigvalsh(self._scale_columns()[0])).sum(axis=1)
 
     def covariance(self) -> Float[np.ndarray, "h p p"]:
-        """Inverse of the information, (h, p, p); NaN for a problem with a free direction."""
+        """Inverse of the information, (h, p, p); NaN for a problem that is not fully determined."""
         scaled, scale = self._scale_columns()
         values, vectors = np.linalg.eigh(scaled)
         is_determined = np.asarray(_are_determined(values).all(axis=1))[:, None, None]
@@ -94,9 +115,9 @@ class NormalEquations(NamedTuple):
         return np.where(is_determined, inverse, np.nan)
 
     def _scale_columns(self) -> tuple[Float[np.ndarray, "h p p"], Float[np.ndarray, "h p"]]:
-        """(information scaled to a diagonal of 1, scale factors).
+        """Information scaled to a unit diagonal, (h, p, p), and the scale factors, (h, p).
 
-        The diagonal is 0 without information.
+        The diagonal is 0 for a parameter without information.
         """
         information = np.where(self.finite[:, None, None], self.information, 0.0)
         diagonal = np.einsum("hii->hi", information)
@@ -105,12 +126,20 @@ class NormalEquations(NamedTuple):
 
 
 def _are_determined(values: Float[np.ndarray, "h p"]) -> Bool[np.ndarray, "h p"]:
-    """Mask of the eigenvalues (ascending) that are larger than rounding errors, (h, p)."""
+    """Mask of the eigenvalues (ascending) that exceed rounding errors, (h, p)."""
     return values > SMALLEST_SHARE * np.maximum(values[:, -1:], 1.0)
 
 
 def normal_equations(terms: Residuals, loss: AbstractRobustLoss | None = None) -> NormalEquations:
-    """Normal equations at a state; with a loss, those of reweighted least squares."""
+    """Build the normal equations from the residuals of h independent problems.
+
+    Parameters
+    ----------
+    terms : Residuals
+        Residuals and Jacobian.
+    loss : AbstractRobustLoss, optional
+        Robust loss. The equations are then those of iteratively reweighted least squares.
+    """
     count, observations, numbers, parameters = terms.jacobian.shape
     shape = count, observations * numbers
     squared = np.einsum("hkd,hkd->hk", terms.residual, terms.residual)
@@ -142,14 +171,14 @@ def gauss_newton(
     loss: AbstractRobustLoss | None = None,
     largest_step: Float[np.ndarray, "*h p"] | float = np.inf,
 ) -> tuple[_State, NormalEquations]:
-    """(states after `steps` steps, normal equations at these states).
+    """Take Gauss-Newton steps in many independent problems at once.
 
     Parameters
     ----------
     residuals : callable
-        Residuals at the states.
+        Function that returns the residuals at the states.
     retract : callable
-        Apply steps (h, p) to the states.
+        Function of states and steps (h, p) that returns the states after the steps.
     start : states
         Initial states.
     steps : int
@@ -158,6 +187,10 @@ def gauss_newton(
         Robust loss.
     largest_step : (h, p) or float
         Largest change of each parameter in one step.
+
+    Returns
+    -------
+    States after the last step, and the normal equations at these states.
     """
     state = start
     equations = normal_equations(residuals(state), loss)
@@ -168,9 +201,14 @@ def gauss_newton(
 
 
 def whitening(covariance: Float[np.ndarray, "*n d d"]) -> Float[np.ndarray, "*n d d"]:
-    """Lower triangular W (d, d) with W covariance W^T = 1, which makes errors independent and unit.
+    """Lower triangular matrix W (d, d) with W covariance W^T = identity.
 
-    Raises LinAlgError if the covariance is not positive definite.
+    It transforms errors with this covariance to independent errors of variance 1.
+
+    Raises
+    ------
+    LinAlgError
+        If the covariance is not positive definite.
     """
     return np.linalg.inv(np.linalg.cholesky(covariance))
 
@@ -178,5 +216,15 @@ def whitening(covariance: Float[np.ndarray, "*n d d"]) -> Float[np.ndarray, "*n 
 def misfit_factor(
     chi_square: Float[np.ndarray, "h"], degrees: Int[np.ndarray, "h"] | int
 ) -> Float[np.ndarray, "h"]:
-    """Factor for a covariance if errors are larger than stated, (h,); at least 1."""
+    """Factor by which a covariance is multiplied if the errors are larger than stated, (h,).
+
+    The factor is the reduced chi-square, but at least 1.
+
+    Parameters
+    ----------
+    chi_square : (h,)
+        Chi-square of each problem.
+    degrees : (h,) or int
+        Degrees of freedom.
+    """
     return np.maximum(chi_square / np.maximum(degrees, 1), 1.0)

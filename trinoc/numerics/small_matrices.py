@@ -12,9 +12,9 @@ from trinoc.numerics.precision import ArrayLike
 
 
 def _cholesky(matrix: Float[ArrayLike, "n n"]) -> list[list[ArrayLike]]:
-    """Lower Cholesky factor L, as rows of scalars, of a matrix L L^T.
+    """Lower Cholesky factor L of a matrix L L^T, as rows of scalars.
 
-    NaN if the matrix is not positive definite.
+    The entries are NaN if the matrix is not positive definite.
     """
     size = matrix.shape[0]
     lower: list[list[ArrayLike]] = [[] for _ in range(size)]
@@ -30,7 +30,7 @@ def _cholesky(matrix: Float[ArrayLike, "n n"]) -> list[list[ArrayLike]]:
 def solve_positive_definite(
     matrix: Float[ArrayLike, "n n"], right: Float[ArrayLike, "n *k"]
 ) -> Float[ArrayLike, "n *k"]:
-    """Solution x of matrix x = right, for a symmetric positive definite matrix of a few rows."""
+    """Solution x of matrix @ x = right, for a symmetric positive definite matrix of a few rows."""
     lower, size = _cholesky(matrix), matrix.shape[0]
     forward: list[ArrayLike] = []
     for i in range(size):
@@ -45,8 +45,12 @@ def solve_positive_definite(
 def inverse_positive_definite(matrix: Float[ArrayLike, "n n"]) -> Float[ArrayLike, "n n"]:
     """Inverse (n, n) of a symmetric positive definite matrix of a few rows.
 
-    NaN if the matrix is not positive definite. The loop over rows is compiled once, a fifth of the
-    size of unrolled code. Source: J. H. Goodnight, "A tutorial on the SWEEP operator" (1979).
+    The result is NaN if the matrix is not positive definite. The loop over rows is compiled once,
+    which gives a program of a fifth of the size of unrolled code.
+
+    References
+    ----------
+    J. H. Goodnight, "A tutorial on the SWEEP operator", 1979.
     """
     rows = jnp.arange(matrix.shape[0])
 
@@ -67,7 +71,10 @@ def log_determinant_positive_definite(matrix: Float[ArrayLike, "n n"]) -> Float[
 
 
 def inverse_3x3(matrix: Float[ArrayLike, "3 3"]) -> Float[ArrayLike, "3 3"]:
-    """Inverse by cofactors, which fuses under `vmap`; LAPACK calls do not."""
+    """Inverse of a 3 x 3 matrix by cofactors.
+
+    Under `vmap` the compiler fuses this code, which it does not do for calls of LAPACK.
+    """
     a, b, c = matrix[0], matrix[1], matrix[2]
     cofactors = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=1)
     return cofactors / (a @ cofactors[:, 0])

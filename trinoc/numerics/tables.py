@@ -31,16 +31,30 @@ _MOST_BRIEF = 6
 
 
 class Content(NamedTuple):
-    """Content of a table file: values by field name, and the length of each named axis."""
+    """Content of a table file.
+
+    Attributes
+    ----------
+    values : dict
+        Values by the name of the field.
+    sides : dict of str to int
+        Length of each named axis.
+    """
 
     values: dict[str, Any]
     sides: dict[str, int]
 
 
 class ColumnCheck(NamedTuple):
-    """A test of a column: `good` returns a mask over the rows, or one bool for the whole value.
+    """Test of the values of one field.
 
-    `problem` describes the first row that fails, as the end of a sentence.
+    Attributes
+    ----------
+    problem : str
+        Description of the first row that fails, as the end of a sentence.
+    good : callable
+        Function of the values and the content of the table. It returns a mask over the rows, or one
+        bool for the whole field.
     """
 
     problem: str
@@ -48,21 +62,23 @@ class ColumnCheck(NamedTuple):
 
 
 class Column:
-    """Properties of a field in addition to kind and shape.
+    """Properties of a field in addition to its kind and shape.
 
     Parameters
     ----------
     checks : ColumnCheck
         Tests of the values.
     parts : sequence of str, or callable
-        Name of each number in a row, or a function of the table that returns them. For a
+        Names of the numbers in one row, or a function of the table that returns them. For a
         covariance, the names of its variables.
     side : str
-        For a tuple of names, such as view names: the axis that they label.
+        For a tuple of names, such as view names: name of the axis that they label.
     per_row : bool
-        For a dictionary of arrays: each has one row per row of the table, and its key as name.
+        For a dictionary of arrays: True if each array has one row per row of the table. The keys
+        are then names of columns.
     blocks : callable
-        For a tuple of square matrices: the number of rows of each.
+        For a tuple of square matrices: function of the content that returns the number of rows of
+        each matrix.
     prefix : str
         For a table in a table: prefix of its array names in a file.
     """
@@ -81,9 +97,23 @@ class Column:
 
 
 class Field(NamedTuple):
-    """A field of a table. A field that is no array has kind "" and no sides.
+    """Declaration of one field of a table.
 
-    `kind` is "f", "i", "b" or "U"; `sides` are the names of the axes.
+    Attributes
+    ----------
+    name : str
+        Name of the field.
+    type : type
+        Its type.
+    column : Column
+        Its further properties.
+    optional : bool
+        True if the field may be missing.
+    kind : str
+        Kind of the numbers in the array: "f", "i", "b", or "U" for text; "" if the field is no
+        array.
+    sides : tuple of str
+        Names of the axes of the array; empty if the field is no array.
     """
 
     name: str
@@ -95,25 +125,26 @@ class Field(NamedTuple):
 
     @property
     def array_prefix(self) -> str:
-        """Prefix of the array names, for a field stored as several arrays."""
+        """Prefix of the array names if the field is stored as several arrays."""
         return "" if self.column.per_row else self.column.prefix or f"{self.name}/"
 
 
 class Table(Value):
-    """A value whose columns are declared.
+    """A value that consists of columns, each declared once.
 
     Notes
     -----
     Class variables:
 
     KIND : str
-        Name in files.
+        Name of this kind of table in files.
     IN_WORDS : str
-        Name in sentences.
+        Name of this kind of table in sentences.
     SIDES : mapping
-        For each named axis, the plural noun of its items. The first axis is that of the rows.
+        Plural noun for the items along each named axis. The first axis counts the rows.
     DERIVED : mapping
-        Properties with one entry per row, with the names of its numbers. Files do not contain them.
+        Properties with one entry per row that files do not contain: names of their numbers, by the
+        name of the property.
     """
 
     KIND: ClassVar[str] = ""
@@ -133,18 +164,29 @@ class Table(Value):
     ) -> _TableType: ...
 
     def __getitem__(self, rows: Any) -> Any:
-        """Return one row, or a table of some rows: a slice, indices or a mask, as in NumPy.
+        """Return one row, or a table of several rows, as indexing in NumPy does.
 
-        Raises IndexError for a missing row and for a mask of another length.
+        Parameters
+        ----------
+        rows : int, slice, list of indices or mask
+            The rows.
+
+        Raises
+        ------
+        IndexError
+            If a row is missing, or a mask has another length.
         """
-        chosen = np.arange(len(self))[rows]
-        return TableRow(self, int(chosen)) if np.ndim(chosen) == 0 else self.take(chosen)
+        indices = np.arange(len(self))[rows]
+        return TableRow(self, int(indices)) if np.ndim(indices) == 0 else self.take(indices)
 
     def __iter__(self) -> Iterator["TableRow"]:
-        return (TableRow(self, number) for number in range(len(self)))
+        return (TableRow(self, index) for index in range(len(self)))
 
     def rows(self) -> dict[str, Any]:
-        """Fields with one entry per row of the table; a dictionary counts as one field."""
+        """Values of all fields with one entry per row, by name.
+
+        A dictionary of arrays is one field.
+        """
         first = next(iter(self.SIDES))
         fields = {
             field.name: (field, getattr(self, field.name)) for field in list_fields(type(self))
@@ -156,13 +198,16 @@ class Table(Value):
         }
 
     def take(self: _TableType, rows: np.ndarray) -> _TableType:
-        """Table of the rows at the given indices, in that order, or where the mask is true."""
+        """Table of the rows at the given indices in their order, or of the rows in a mask."""
         return dataclasses.replace(self, **take_rows(self.rows(), rows))
 
     def append(self: _TableType, rows: Mapping[str, np.ndarray]) -> _TableType:
-        """Table with more rows, given by the names of their columns.
+        """Table with further rows at the end.
 
-        Missing columns are False, 0 or "".
+        Parameters
+        ----------
+        rows : mapping of str to array
+            New entries of each column, by name. The entries of a missing column are False, 0 or "".
         """
         count = len(next(iter(rows.values())))
 
@@ -177,9 +222,12 @@ class Table(Value):
         )
 
     def named_columns(self, *, brief: bool = False) -> dict[str, np.ndarray]:
-        """Column of each number of a row, by name; `DERIVED` ones last.
+        """One column for each number in a row, by name. The columns of `DERIVED` come last.
 
-        If `brief`, rows of more than six numbers (covariances, images) are skipped.
+        Parameters
+        ----------
+        brief : bool
+            True to omit fields with more than six numbers per row, such as covariances and images.
         """
         columns: dict[str, np.ndarray] = {}
         fields = {field.name: field.column for field in list_fields(type(self))}
@@ -195,10 +243,13 @@ class Table(Value):
 
 
 class TableRow:
-    """One row of a table. Its attributes are the entries of the columns and derived properties."""
+    """One row of a table.
 
-    def __init__(self, table: Table, number: int) -> None:
-        self._table, self._number = table, number
+    Its attributes are the entries of the columns and of derived properties.
+    """
+
+    def __init__(self, table: Table, index: int) -> None:
+        self._table, self._index = table, index
 
     def __getattr__(self, name: str) -> Any:
         # `copy` looks up such names before `_table` exists; notebooks look them up as well.
@@ -208,18 +259,18 @@ class TableRow:
             raise AttributeError(f"A row of {type(self._table).__name__} has no {name}.")
         rows = self._table.rows()
         if name in rows:
-            return take_rows(rows[name], self._number)
-        return getattr(self._table.take(np.array([self._number])), name)[0]
+            return take_rows(rows[name], self._index)
+        return getattr(self._table.take(np.array([self._index])), name)[0]
 
     def __dir__(self) -> list[str]:
         return [*self._table.rows(), *self._table.DERIVED]
 
     def __repr__(self) -> str:
-        columns = self._table.take(np.array([self._number])).named_columns(brief=True)
+        columns = self._table.take(np.array([self._index])).named_columns(brief=True)
         numbers = ", ".join(
             f"{name}={_brief_number(column[0])}" for name, column in columns.items()
         )
-        return f"<{type(self._table).__name__}[{self._number}]: {numbers}>"
+        return f"<{type(self._table).__name__}[{self._index}]: {numbers}>"
 
 
 def _brief_number(value: Any) -> str:
@@ -227,7 +278,10 @@ def _brief_number(value: Any) -> str:
 
 
 def _name_parts(name: str, array: np.ndarray, parts: Sequence[str]) -> dict[str, np.ndarray]:
-    """Columns of the numbers in each row, by name; for covariances, the upper triangle."""
+    """One column for each number in a row of an array, by name.
+
+    A covariance has columns for its upper triangle.
+    """
     if array.ndim == 1:
         return {name: array}
     if array.ndim == 3 and array.shape[1] == array.shape[2] == len(parts):
@@ -244,7 +298,13 @@ def _name_parts(name: str, array: np.ndarray, parts: Sequence[str]) -> dict[str,
 
 @functools.cache
 def list_fields(table: type[Table]) -> tuple[Field, ...]:
-    """Declared fields of a table."""
+    """Declarations of all fields of a class of tables.
+
+    Parameters
+    ----------
+    table : type
+        The class.
+    """
     hints = typing.get_type_hints(table, include_extras=True)
     return tuple(_field(field, hints[field.name]) for field in dataclasses.fields(table))
 
@@ -255,7 +315,7 @@ def _field(field: dataclasses.Field, hint: Any) -> Field:
         hint, column = typing.get_args(hint)[:2]
     union = typing.get_origin(hint) in (typing.Union, types.UnionType)
     members = typing.get_args(hint) if union else (hint,)
-    plain = [each for each in members if each is not type(None)]
+    plain = [member for member in members if member is not type(None)]
     optional = len(plain) < len(members) or field.default is not dataclasses.MISSING
     optional |= field.default_factory is not dataclasses.MISSING
     if not hasattr(plain[0], "dim_str"):
@@ -266,19 +326,39 @@ def _field(field: dataclasses.Field, hint: Any) -> Field:
 
 
 def take_rows(table: _Rows, rows: np.ndarray | slice | int) -> _Rows:
-    """Select rows of each column in a tree, by indices in that order, by a slice or by a mask."""
+    """Select rows of every column in a tree.
+
+    Parameters
+    ----------
+    table : tree of (n, ...)
+        Columns with n rows.
+    rows : array, slice or int
+        Indices in the order of the result, a mask, a slice or one index.
+    """
     return jax.tree.map(lambda column: column[rows], table)
 
 
 def concatenate_rows(tables: Sequence[_Rows]) -> _Rows:
-    """Concatenate the rows of trees of columns; at least one tree."""
+    """Concatenate the rows of tables or other trees of columns; at least one tree."""
     return jax.tree.map(lambda *columns: np.concatenate(columns), *tables)
 
 
 def with_field(options: _Options, name: str, value: Any) -> _Options:
-    """Copy of the options with another value of one field, named "group.field" or "field".
+    """Copy of options in which one field has another value.
 
-    Raises ValueError for an unknown name.
+    Parameters
+    ----------
+    options : dataclass
+        The options, which may contain groups of options.
+    name : str
+        Name of the field, "field" or "group.field".
+    value : any
+        The new value.
+
+    Raises
+    ------
+    ValueError
+        If no field has this name.
     """
     group: Any = options
     first, _, rest = name.partition(".")
@@ -317,15 +397,30 @@ CHI_SQUARE = ColumnCheck("is no chi-square", lambda values, _: ~(values < 0) & ~
 COVARIANCE = ColumnCheck("is no covariance", lambda values, _: is_covariance(values))
 
 
-def check_number(side: str, problem: str, *, smallest: int = 0) -> ColumnCheck:
-    """Check for indices along an axis, from `smallest` (-1: no item) up to its length."""
+def check_index(side: str, problem: str, *, smallest: int = 0) -> ColumnCheck:
+    """Check that values are indices along an axis.
+
+    The values must be at least `smallest` and less than the length of the axis.
+
+    Parameters
+    ----------
+    side : str
+        Name of the axis.
+    problem : str
+        Description of a row that fails, as the end of a sentence.
+    smallest : int
+        Smallest allowed value; -1 if a value may mean that no item exists.
+    """
     return ColumnCheck(
         problem, lambda values, table: (values >= smallest) & (values < table.sides[side])
     )
 
 
 def is_covariance(matrices: Float[np.ndarray, "n k k"]) -> Bool[np.ndarray, "n"]:
-    """Mask of the matrices (n, k, k) that are finite, symmetric and have no negative variance."""
+    """Mask of the matrices (n, k, k) that can be covariances.
+
+    They are finite, symmetric and positive semidefinite, up to rounding errors.
+    """
     good = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
     trusted = np.where(good[:, None, None], matrices, 0.0)
     variance = np.diagonal(trusted, axis1=1, axis2=2)

@@ -25,7 +25,7 @@ def chi_square_limit(tail: _Real, degrees: _Real) -> Any:
 
 
 def chi_square_quantile(share: _Real, degrees: _Real) -> Any:
-    """Value below which a chi-square variable lies with probability `share`."""
+    """Value below which a chi-square variable is with probability `share`."""
     return 2 * scipy.special.gammaincinv(np.asarray(degrees) / 2, share)
 
 

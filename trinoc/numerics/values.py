@@ -13,10 +13,10 @@ _NUMBERS = (np.ndarray, np.generic, jax.Array, bool, int, float)
 
 
 class Value(eqx.Module):
-    """A frozen value whose NumPy arrays cannot be written to.
+    """Base class of immutable values whose NumPy arrays are read-only.
 
-    They are read-only views: the array that the caller passed stays writable. Values of one class
-    are equal if all their fields are equal; NaN equals NaN.
+    The arrays are read-only views; the caller can still write to the arrays that it passed. Two
+    values of one class are equal if all their fields are equal; NaN equals NaN.
     """
 
     def __check_init__(self) -> None:
@@ -36,7 +36,7 @@ class Value(eqx.Module):
 
 
 def _read_only(content: Any) -> Any:
-    """The same content with read-only views in place of writable arrays."""
+    """Copy of a content in which read-only views replace writable arrays."""
     if isinstance(content, np.ndarray):
         if not content.flags.writeable:
             return content
@@ -57,7 +57,7 @@ def _read_only(content: Any) -> Any:
 
 
 def equal_values(first: Any, second: Any) -> bool:
-    """True if two values, or containers of values, have equal content; NaN equals NaN."""
+    """True if two values, or containers of values, have the same content; NaN equals NaN."""
     if isinstance(first, eqx.Module):
         names = [field.name for field in dataclasses.fields(first)]  # pyright: ignore
         return type(first) is type(second) and all(
@@ -83,7 +83,7 @@ def equal_values(first: Any, second: Any) -> bool:
 
 
 def _outline(content: Any) -> Any:
-    """Hashable part of a value that equal values share: everything except its numbers."""
+    """Hashable description of a value without its numbers; it is the same for equal values."""
     if isinstance(content, eqx.Module):
         fields = dataclasses.fields(content)  # pyright: ignore
         return type(content), tuple(_outline(getattr(content, field.name)) for field in fields)

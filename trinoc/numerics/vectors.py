@@ -23,55 +23,55 @@ Symmetric3 = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
 
 
 def vector3(array: Float[ArrayLike, "... 3"]) -> Vector3:
-    """Components of an array (..., 3)."""
+    """Components x, y, z of vectors in an array (..., 3)."""
     return array[..., 0], array[..., 1], array[..., 2]
 
 
 def in_front(a: Vector3) -> Vector3:
-    """Components with a new first axis of length 1."""
+    """Components of a vector with a new first axis of length 1, so that they broadcast."""
     return a[0][None], a[1][None], a[2][None]
 
 
 def nth3(a: Vector3, k: int) -> Vector3:
-    """Item k along the first axis of each component."""
+    """Item `k` along the first axis of each component."""
     return a[0][k], a[1][k], a[2][k]
 
 
 def nth6(a: Symmetric3, k: int) -> Symmetric3:
-    """Item k along the first axis of each entry."""
+    """Item `k` along the first axis of each entry of a symmetric matrix."""
     return a[0][k], a[1][k], a[2][k], a[3][k], a[4][k], a[5][k]
 
 
 def total(terms: Iterable[Scalar]) -> Scalar:
-    """Sum of at least one scalar, or over the first axis of an array."""
+    """Sum of scalars (at least one), or sum over the first axis of an array."""
     return functools.reduce(operator.add, terms)
 
 
 def largest(terms: Iterable[Scalar]) -> Scalar:
-    """Maximum of at least one scalar, or along the first axis of an array."""
+    """Maximum of scalars (at least one), or maximum along the first axis of an array."""
     terms = list(terms)
     return functools.reduce(array_namespace(terms).maximum, terms)
 
 
 def least(terms: Iterable[Scalar]) -> Scalar:
-    """Minimum of at least one scalar, or along the first axis of an array."""
+    """Minimum of scalars (at least one), or minimum along the first axis of an array."""
     terms = list(terms)
     return functools.reduce(array_namespace(terms).minimum, terms)
 
 
 def log_sum_exp(terms: Sequence[Scalar]) -> Scalar:
-    """Logarithm of the sum of exponentials; at least one term must be finite."""
+    """Logarithm of the sum of the exponentials of terms. At least one term must be finite."""
     xp, maximum = array_namespace(terms), largest(terms)
     return maximum + xp.log(total(xp.exp(term - maximum) for term in terms))
 
 
 def dot3(a: Vector3, b: Vector3) -> Scalar:
-    """Scalar product."""
+    """Scalar product a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross3(a: Vector3, b: Vector3) -> Vector3:
-    """Vector product."""
+    """Vector product a x b."""
     return (
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
@@ -80,12 +80,12 @@ def cross3(a: Vector3, b: Vector3) -> Vector3:
 
 
 def add3(a: Vector3, b: Vector3, factor: Scalar | float = 1.0) -> Vector3:
-    """Sum a + factor b."""
+    """Vector a + factor * b."""
     return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
 
 
 def scaled3(a: Vector3, factor: Scalar) -> Vector3:
-    """Product factor a."""
+    """Vector factor * a."""
     return a[0] * factor, a[1] * factor, a[2] * factor
 
 
@@ -105,7 +105,7 @@ def outer3(a: Vector3, b: Vector3, weights: tuple[Scalar, Scalar, Scalar]) -> Sy
 
 
 def times_matrix(matrix: Float[ArrayLike, "... 3 3"], a: Vector3) -> Vector3:
-    """Product matrix a."""
+    """Product of a matrix and a vector."""
     return (
         dot3(vector3(matrix[..., 0, :]), a),
         dot3(vector3(matrix[..., 1, :]), a),
@@ -116,9 +116,14 @@ def times_matrix(matrix: Float[ArrayLike, "... 3 3"], a: Vector3) -> Vector3:
 def interpolated_covariance(
     covariance: tuple[Scalar, Scalar, Scalar], s: Scalar, t: Scalar
 ) -> Scalar:
-    """Covariance of two positions interpolated between points 0 and 1, at shares s and t.
+    """Covariance of two positions that are interpolated between the points 0 and 1.
 
-    `covariance` is (c00, c01, c11) of the two points.
+    Parameters
+    ----------
+    covariance : (scalar, scalar, scalar)
+        Variance of point 0, covariance of both points, variance of point 1.
+    s, t : scalar
+        Positions from 0 (point 0) to 1 (point 1).
     """
     c00, c01, c11 = covariance
     return (1 - s) * (1 - t) * c00 + (s * (1 - t) + t * (1 - s)) * c01 + s * t * c11
@@ -127,14 +132,16 @@ def interpolated_covariance(
 def add_error_of_ends(
     covariance: Float[np.ndarray, "n p p"], error: Float[np.ndarray, "n 2 d"]
 ) -> None:
-    """Add a rank-one error to each of two ends, in place.
+    """Add the covariance of an independent error to each of two ends, in place.
+
+    The error of an end is a random multiple of one vector.
 
     Parameters
     ----------
     covariance : (n, p, p)
-        Covariances whose first 2 d variables are the two ends.
+        Covariances whose first 2 d variables are the coordinates of the two ends.
     error : (n, 2, d)
-        Standard deviation of each end along one direction, as a vector.
+        Vector of each end: direction of the error, with its standard deviation as length.
     """
     size = error.shape[2]
     for end in (0, 1):
@@ -143,7 +150,7 @@ def add_error_of_ends(
 
 
 def cross_2d(a: Float[np.ndarray, "*n 2"], b: Float[np.ndarray, "*n 2"]) -> np.ndarray:
-    """Signed area of the parallelogram of two vectors.
+    """Signed area of the parallelogram of two vectors, (...).
 
     Ten times faster than `np.cross` for few rows.
     """
@@ -151,14 +158,14 @@ def cross_2d(a: Float[np.ndarray, "*n 2"], b: Float[np.ndarray, "*n 2"]) -> np.n
 
 
 def cross_3d(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*m 3"]) -> np.ndarray:
-    """Vector product; leading axes broadcast."""
+    """Vector product a x b; leading axes broadcast."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def complete_axes(unit: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2 3"]:
-    """Two unit vectors perpendicular to a unit vector and to each other, (..., 2, 3)."""
+    """Two unit vectors perpendicular to a given unit vector and to each other, (..., 2, 3)."""
     smallest_axis = np.eye(3)[np.argmin(np.abs(unit), axis=-1)]
     first = cross_3d(unit, smallest_axis)
     first = first / np.linalg.norm(first, axis=-1, keepdims=True)

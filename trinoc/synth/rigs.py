@@ -18,12 +18,13 @@ IMAGE_SIZE_PX = (512, 480)
 
 
 def table1_lens(*, resolution: int = 1, distortion: tuple[float, ...] | None = None) -> Intrinsics:
-    """Return the paper's lens and sensor: 512 x 480 pixels that are not square.
+    """Return the lens and sensor of the 1986 paper: 512 x 480 pixels that are not square.
 
     Parameters
     ----------
     resolution : int
-        Divides each pixel into this many along both sides; the field of view is unchanged.
+        Each pixel is divided into this many pixels along both sides. The field of view does not
+        change.
     distortion : tuple of float, optional
         Up to five Brown-Conrady coefficients.
 
@@ -40,7 +41,7 @@ def table1_lens(*, resolution: int = 1, distortion: tuple[float, ...] | None = N
 
 
 def table1_rig(*, resolution: int = 1, distortion: tuple[float, ...] | None = None) -> Rig:
-    """Return the cameras "upper", "left" and "right" of Table 1.
+    """Return the cameras "upper", "left" and "right" of Table 1 of the 1986 paper.
 
     Parameters
     ----------
@@ -56,17 +57,18 @@ def table1_rig(*, resolution: int = 1, distortion: tuple[float, ...] | None = No
 
 
 def random_rig(seed: int, *, wide: bool = False, lens: Intrinsics | None = None) -> Rig:
-    """Return three random cameras around the origin.
+    """Return three random cameras that look at the origin.
 
     Parameters
     ----------
     seed : int
         Seed of the random numbers.
     wide : bool
-        False: each angle within 8 degrees of Table 1, distances within 10 %. True: pan within 60
-        degrees, tilt from 20 to 80, swing within 15, distances from 400 to 600 mm.
+        False: each angle differs by at most 8 degrees from Table 1 of the 1986 paper, each distance
+        by at most 10 %. True: pan from -60 to 60 degrees, tilt from 20 to 80, swing from -15 to 15,
+        distances from 400 to 600 mm.
     lens : Intrinsics, optional
-        Default: `table1_lens()`.
+        Lens of all cameras. Default: `table1_lens()`.
 
     Returns
     -------

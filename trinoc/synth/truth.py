@@ -15,12 +15,12 @@ class SeenParts(Value):
     Attributes
     ----------
     edge : (k,)
-        Index of the edge.
+        Index of the edge to which each part belongs.
     extent : (k, 2)
-        Start and stop along the edge: 0 at its first end, 1 at its second.
+        Start and stop of each part along its edge: 0 at the first end, 1 at the second end.
     grey_step : (k,)
-        Grey level on the left of the direction from the first end to the second, as displayed,
-        minus that on the right; NaN if unknown.
+        Grey level on the left of the direction from the first end to the second end, as displayed,
+        minus the level on the right; NaN if unknown.
     """
 
     edge: Int[np.ndarray, "k"]
@@ -29,14 +29,14 @@ class SeenParts(Value):
 
 
 class SceneTruth(Value):
-    """Edges in space, and their visible parts in each image.
+    """True edges of a synthetic scene, and their visible parts in each image.
 
     Attributes
     ----------
     edges_mm : (m, 2, 3)
         Ends of every edge.
     edge_kinds : tuple of str
-        "edge", or "rim" for a chord of a cylinder's rim.
+        Kind of every edge: "edge", or "rim" for a chord of a cylinder's rim.
     seen : dict of SeenParts
         For each view, the visible parts of the edges.
     """
@@ -54,10 +54,11 @@ class SegmentTruth(Value):
     edges_mm : (m, 2, 3)
         Ends of every edge.
     edge_of : dict of (n,)
-        For each view, the edge of each segment. `SPURIOUS`: none. `NOT_SCORED`: a result on this
-        segment counts neither as right nor as wrong.
+        For each view, the index of the edge of each segment. `SPURIOUS`: the segment shows no edge.
+        `NOT_SCORED`: a result on this segment is neither right nor wrong.
     extent : dict of (n, 2)
-        For each view, start and stop of the segment along its edge; any value without an edge.
+        For each view, start and stop of each segment along its edge; undefined for a segment
+        without an edge.
     """
 
     edges_mm: Float[np.ndarray, "m 2 3"]
@@ -71,7 +72,15 @@ SPURIOUS, NOT_SCORED = -1, -2
 def points_along(
     segments_mm: Float[np.ndarray, "n 2 3"], position: Float[np.ndarray, "n k"]
 ) -> Float[np.ndarray, "n k 3"]:
-    """Points of segments at positions from 0 (first end) to 1 (second end), (n, k, 3)."""
+    """Points on segments, (n, k, 3), at k positions from 0 (first end) to 1 (second end).
+
+    Parameters
+    ----------
+    segments_mm : (n, 2, 3)
+        Ends of the segments.
+    position : (n, k)
+        Positions along each segment.
+    """
     first, second = segments_mm[:, :1], segments_mm[:, 1:]
     return first + position[..., None] * (second - first)
 
@@ -83,33 +92,54 @@ def shown_parts_mm(
     grey_step: float = 0.0,
     kinds: Collection[str] | None = None,
 ) -> Float[np.ndarray, "k 2 3"]:
-    """Ends of the edge parts that are visible in at least `views` images, (k, 2, 3).
+    """Parts of the edges that are visible in at least `views` images, (k, 2, 3).
 
-    A part is visible in an image if grey levels differ by at least `grey_step` across it. Only
-    edges of `kinds` count; None means all.
+    Parameters
+    ----------
+    truth : SceneTruth
+        The edges and their visible parts.
+    views : int
+        Smallest number of images.
+    grey_step : float
+        Smallest difference of the grey levels on both sides of a visible part.
+    kinds : collection of str, optional
+        Only edges of these kinds are used. Default: all edges.
+
+    Returns
+    -------
+    (k, 2, 3)
+        Ends of the parts, mm.
     """
-    chosen = {}
+    parts_by_view = {}
     for name, visible in truth.seen.items():
-        counts = np.ones(len(visible.edge), dtype=bool)
+        is_visible = np.ones(len(visible.edge), dtype=bool)
         if grey_step > 0:
-            counts = np.abs(visible.grey_step) >= grey_step
+            is_visible = np.abs(visible.grey_step) >= grey_step
         if kinds is not None:
-            counts &= np.array(
+            is_visible &= np.array(
                 [truth.edge_kinds[edge] in kinds for edge in visible.edge], dtype=bool
             )
-        chosen[name] = (visible.edge[counts], visible.extent[counts])
-    return parts_in_views_mm(truth.edges_mm, chosen, views=views)
+        parts_by_view[name] = (visible.edge[is_visible], visible.extent[is_visible])
+    return parts_in_views_mm(truth.edges_mm, parts_by_view, views=views)
 
 
 def shown_parts_of_segments_mm(
     truth: SegmentTruth, *, views: int = 2
 ) -> Float[np.ndarray, "k 2 3"]:
-    """Ends of the edge parts that segments of at least `views` views cover, (k, 2, 3)."""
-    chosen = {}
+    """Parts of the edges that are covered by segments of at least `views` views, (k, 2, 3).
+
+    Parameters
+    ----------
+    truth : SegmentTruth
+        The edges and the edge of each segment.
+    views : int
+        Smallest number of views.
+    """
+    parts_by_view = {}
     for name, edge in truth.edge_of.items():
-        real = edge >= 0
-        chosen[name] = (edge[real], truth.extent[name][real])
-    return parts_in_views_mm(truth.edges_mm, chosen, views=views)
+        has_edge = edge >= 0
+        parts_by_view[name] = (edge[has_edge], truth.extent[name][has_edge])
+    return parts_in_views_mm(truth.edges_mm, parts_by_view, views=views)
 
 
 def parts_in_views_mm(
@@ -118,9 +148,21 @@ def parts_in_views_mm(
     *,
     views: int,
 ) -> Float[np.ndarray, "k 2 3"]:
-    """Ends of the edge parts that lists of at least `views` views contain, (k, 2, 3).
+    """Parts of edges that occur in at least `views` views, (k, 2, 3).
 
-    `parts` has (edge, extent) of each view.
+    Parameters
+    ----------
+    edges_mm : (m, 2, 3)
+        Ends of every edge.
+    parts : mapping of str to ((k,), (k, 2))
+        For each view, parts of edges: index of the edge, and start and stop along it from 0 to 1.
+    views : int
+        Smallest number of views.
+
+    Returns
+    -------
+    (k, 2, 3)
+        Ends of the parts, mm.
     """
     shared_parts: list[Float[np.ndarray, "2 3"]] = []
     for index, edge in enumerate(edges_mm):
@@ -132,7 +174,7 @@ def parts_in_views_mm(
 
 
 def _union(intervals: Float[np.ndarray, "k 2"]) -> list[tuple[float, float]]:
-    """Disjoint intervals that cover the same points, in order."""
+    """Disjoint intervals that cover the same points as the given intervals, in ascending order."""
     merged: list[tuple[float, float]] = []
     for start, end in sorted((float(a), float(b)) for a, b in np.sort(intervals, axis=1)):
         if merged and start <= merged[-1][1]:
@@ -145,7 +187,7 @@ def _union(intervals: Float[np.ndarray, "k 2"]) -> list[tuple[float, float]]:
 def _intersect_intervals(
     per_view: list[list[tuple[float, float]]], views: int
 ) -> list[tuple[float, float]]:
-    """Intervals that lie in the disjoint intervals of at least `views` views."""
+    """Intervals that at least `views` views cover. The intervals of one view are disjoint."""
     events = sorted(
         [(start, 1) for intervals in per_view for start, _ in intervals]
         + [(end, -1) for intervals in per_view for _, end in intervals],

@@ -25,9 +25,9 @@ class VisibleParts(NamedTuple):
     Attributes
     ----------
     segment : (k,)
-        Index of the segment.
+        Index of the segment to which each part belongs.
     extent : (k, 2)
-        Start and stop along it, 0 at its first end, 1 at its second.
+        Start and stop of each part along its segment: 0 at the first end, 1 at the second end.
     """
 
     segment: Int[np.ndarray, "k"]
@@ -39,9 +39,18 @@ def visible_parts(
     segments_mm: Float[np.ndarray, "n 2 3"],
     triangles_mm: Float[np.ndarray, "t 3 3"],
 ) -> VisibleParts:
-    """Parts of segments inside the image that no triangle hides.
+    """Parts of segments that are inside the image and that no triangle hides.
 
-    The image frame is that without lens distortion.
+    The lens is assumed to have no distortion.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    segments_mm : (n, 2, 3)
+        Ends of the segments.
+    triangles_mm : (t, 3, 3)
+        Corners of the triangles.
     """
     hidden = hidden_intervals(camera.centre_world_mm, segments_mm, triangles_mm)
     framed = _interval(*_frame_values(camera, segments_mm))
@@ -58,9 +67,21 @@ def hidden_intervals(
     segments_mm: Float[np.ndarray, "n 2 3"],
     triangles_mm: Float[np.ndarray, "t 3 3"],
 ) -> Float[np.ndarray, "n t 2"]:
-    """(start, stop) of the part of each segment that each triangle hides, (n, t, 2).
+    """Part of each segment that each triangle hides, (n, t, 2).
 
-    start > stop if nothing is hidden.
+    Parameters
+    ----------
+    centre_world_mm : (3,)
+        Centre of the camera.
+    segments_mm : (n, 2, 3)
+        Ends of the segments.
+    triangles_mm : (t, 3, 3)
+        Corners of the triangles.
+
+    Returns
+    -------
+    (n, t, 2)
+        Start and stop along the segment, from 0 to 1; start > stop if nothing is hidden.
     """
     corners = triangles_mm - centre_world_mm
     ends = segments_mm - centre_world_mm
@@ -83,7 +104,11 @@ def hidden_intervals(
 def _frame_values(
     camera: Camera, segments_mm: Float[np.ndarray, "n 2 3"]
 ) -> tuple[Float[np.ndarray, "n 5"], Float[np.ndarray, "n 5"]]:
-    """Values at both ends that are positive in front of the camera and inside the image."""
+    """Five values at both ends of each segment, (n, 5); they are positive inside the image.
+
+    They are linear along the segment. The first is the depth, the others are distances from the
+    sides of the image.
+    """
     first, second, third = camera.matrix_px
     width, height = camera.image_size_px
     planes = np.stack(
@@ -102,7 +127,10 @@ def _frame_values(
 def _interval(
     first: Float[np.ndarray, "*n k"], second: Float[np.ndarray, "*n k"]
 ) -> Float[np.ndarray, "*n 2"]:
-    """(start, stop) where k values, linear from the first to the second end, are all >= 0."""
+    """Interval (start, stop) of a segment in which k values are all >= 0.
+
+    first, second : values at the first and second end; they are linear in between.
+    """
     change = second - first
     with np.errstate(divide="ignore", invalid="ignore"):
         crossing = -first / change
@@ -117,12 +145,12 @@ def _interval(
 def _remainder(
     low: float, high: float, hidden: Float[np.ndarray, "t 2"]
 ) -> list[tuple[float, float]]:
-    """Parts of [low, high] outside the hidden intervals."""
+    """Parts of the interval [low, high] that are outside all hidden intervals."""
     if low > high:
         return []
-    real: Bool[np.ndarray, "t"] = hidden[:, 1] >= hidden[:, 0]
+    is_hidden: Bool[np.ndarray, "t"] = hidden[:, 1] >= hidden[:, 0]
     parts, position = [], float(low)
-    for start, end in sorted(map(tuple, hidden[real])):
+    for start, end in sorted(map(tuple, hidden[is_hidden])):
         if start > position + _SLIVER:
             parts.append((position, min(float(start), float(high))))
         position = max(position, float(end))

@@ -15,7 +15,7 @@ from trinoc.calib.adjustment.agreement import (
 )
 from trinoc.calib.problem.rao_test import score_of_residuals
 from trinoc.calib.problem.robust_fit import errors_px
-from trinoc.calib.problem.sheet_problem import PictureFit, SheetCamera, SheetPriors
+from trinoc.calib.problem.sheet_problem import GreyLevelFit, SheetCamera, SheetPriors
 from trinoc.calib.problem.views import SheetPoints
 from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.pose import PoseModel
@@ -155,7 +155,7 @@ def test_grey_levels_of_sharpened_pictures_that_differ_give_way_to_sound_circles
     circles = adjusted([camera], known)
     root = np.eye(2 * len(SHEET)) / finer_px
     points = SheetPoints(SHEET.centres_mm, places_px, root)
-    picture = PictureFit(points, None, None, is_processed)
+    picture = GreyLevelFit(points, None, None, is_processed)
     shown = dataclasses.replace(camera, grey_level_fit=picture, grey_level_points=points)
     choice = choose_observations(0, shown, circles, adjusted([shown], known))
     assert choice.agreement_p_value < 1e-2

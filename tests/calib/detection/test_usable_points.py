@@ -8,7 +8,7 @@ import pytest
 
 from trinoc.calib import detect_target
 from trinoc.calib.detection.detection import build_detection
-from trinoc.calib.detection.usable_points import are_positive, keep_usable
+from trinoc.calib.detection.usable_points import are_positive, remove_unusable
 from trinoc.calib.targets.checkers import Chessboard
 from trinoc.calib.tuning.every_group import TUNING
 from trinoc.errors import DetectionError
@@ -39,7 +39,7 @@ def covariances():
 def test_a_place_whose_covariance_is_none_is_left_out_by_number(spoiled):
     covariance_px2 = covariances()
     covariance_px2[3] = spoiled
-    kept = keep_usable(detection(covariance_px2), BOARD, TUNING)
+    kept = remove_unusable(detection(covariance_px2), BOARD, TUNING)
     assert 3 not in kept.circle_index
     assert len(kept) == len(BOARD) - 1
     assert are_positive(kept.covariance_px2).all()
@@ -48,7 +48,7 @@ def test_a_place_whose_covariance_is_none_is_left_out_by_number(spoiled):
 
 def test_what_is_usable_stays_as_it_is():
     before = detection(covariances())
-    after = keep_usable(before, BOARD, TUNING)
+    after = remove_unusable(before, BOARD, TUNING)
     assert after.remarks == ()
     assert np.array_equal(after.centres_px, before.centres_px)
 
@@ -56,13 +56,13 @@ def test_what_is_usable_stays_as_it_is():
 def test_asymmetry_by_rounding_goes():
     covariance_px2 = covariances()
     covariance_px2[:, 0, 1] = 1e-12
-    kept = keep_usable(detection(covariance_px2), BOARD, TUNING)
+    kept = remove_unusable(detection(covariance_px2), BOARD, TUNING)
     assert np.array_equal(kept.covariance_px2, kept.covariance_px2.mT)
 
 
 def test_too_few_usable_points_are_refused():
     with pytest.raises(DetectionError, match="Only 0 of the 54 points"):
-        keep_usable(detection(np.full((len(BOARD), 2, 2), np.nan)), BOARD, TUNING)
+        remove_unusable(detection(np.full((len(BOARD), 2, 2), np.nan)), BOARD, TUNING)
 
 
 FOLDER = Path(os.environ.get("TRINOC_DATA", "")) / "board_sets"

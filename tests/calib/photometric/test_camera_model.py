@@ -125,6 +125,14 @@ def test_noise_grows_with_the_level_as_it_was_made() -> None:
         assert found == pytest.approx(np.sqrt(1 + at / 20), rel=0.05)
 
 
+def test_noise_of_few_pixels_is_one_value_for_all_levels() -> None:
+    residual = np.array([-2.0, 1.0, 3.0, -1.0])
+    level, queries = np.array([10.0, 80.0, 150.0, 220.0]), np.array([0.0, 100.0, 255.0])
+    for fewest in (2, 30):
+        sigma = noise_by_level(level, residual, np.ones(4, dtype=bool), queries, fewest)
+        np.testing.assert_allclose(sigma, np.full(3, residual.std()))
+
+
 def test_correlation_and_the_variance_of_a_sum() -> None:
     random = np.random.default_rng(2)
     row, column = (part.ravel() for part in np.mgrid[:120, :140])

@@ -141,7 +141,7 @@ def test_covariance_is_that_of_draws_of_noise_that_neighbours_share(scene: Pixel
     def drawn() -> np.ndarray:
         noise = gaussian_filter(random.normal(size=shape), kernel_px, mode="wrap")
         scale = SIGMA * 2 * kernel_px * np.sqrt(np.pi)
-        return scale * noise[scene.chosen.image_index]
+        return scale * noise[scene.pixels.image_index]
 
     rows = exact.rows(scene).astype(float)
     rows = np.concatenate([np.asarray(exact.prediction.by_motion).T @ rows[:9], rows[9:]]) / SIGMA
@@ -238,7 +238,7 @@ def test_crowds_of_outliers_go_with_their_whole_neighbourhood() -> None:
 @pytest.mark.parametrize("level", range(LOCAL_TERMS))
 def test_levels_of_a_block_have_their_slope_and_their_prior(scene: PixelScene, level: int) -> None:
     state, pose = full_state(STATE, TUNING.photometric), STATE.pose
-    blocks = blocks_of_pixels(scene.chosen, pose, LENS.lens, reference_sheet())
+    blocks = blocks_of_pixels(scene.pixels, pose, LENS.lens, reference_sheet())
     blocks = blocks._replace(count=blocks.count + 1)  # the last one has no pixels
     wider = tuple(2 * width for width in TUNING.photometric.local_widths)
     tuning = dataclasses.replace(TUNING.photometric, local_widths=wider)

@@ -15,7 +15,7 @@ def test_rounding_of_the_unknowns_moves_no_large_picture() -> None:
     pose = pose_of((*TABLE_1["left"], 0.0, 0.0))
     state = ideal_state(pose, 0.757, 25 / 230 - 1, np.array([230.1, 1.3, -0.7]))
     chosen = select_pixels(pose, lens, pattern, size, 2.7).near_circles
-    chosen = chosen.part(np.arange(0, len(chosen.row), 8))
+    chosen = chosen.subset(np.arange(0, len(chosen.row), 8))
     grey = np.zeros(size[::-1])
 
     def seen(dtype: type) -> tuple[np.ndarray, np.ndarray]:

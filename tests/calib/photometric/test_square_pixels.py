@@ -71,8 +71,10 @@ def test_derivatives_of_rays_are_those_of_the_lens():
     by_u, by_v = ((at(*s) - at(*-s)) / (2 * step) for s in step * np.eye(2))
     uu, vv = ((at(*s) + at(*-s) - 2 * middle) / step**2 for s in step * np.eye(2))
     np.testing.assert_allclose(ray.by_pixel, np.stack([by_u, by_v], axis=2), atol=1e-8)
-    assert ray.bend is not None
-    np.testing.assert_allclose(np.asarray(ray.bend)[..., [0, 2]], np.stack([uu, vv], 2), atol=1e-8)
+    assert ray.second_by_pixel is not None
+    np.testing.assert_allclose(
+        np.asarray(ray.second_by_pixel)[..., [0, 2]], np.stack([uu, vv], 2), atol=1e-8
+    )
 
 
 @pytest.mark.slow

@@ -14,12 +14,12 @@ _SHORTEST_OUTLINE_PX = 8
 
 
 class Blobs(NamedTuple):
-    """Candidate circles of an image.
+    """Dark blobs of an image that may be circles, described as ellipses.
 
-    Fields
-    ------
+    Attributes
+    ----------
     centres_px : (n, 2) centres of the ellipses.
-    shape_px2 : (n, 2, 2) shape matrices S of the outer edges, (x - c)^T S^-1 (x - c) = 1.
+    shape_px2 : (n, 2, 2) shape matrices S of the ellipses, (x - c)^T S^-1 (x - c) = 1.
     """
 
     centres_px: Float[np.ndarray, "n 2"]
@@ -35,15 +35,17 @@ class Blobs(NamedTuple):
 
 
 class BlobScale(NamedTuple):
-    """Settings of one blob search.
+    """Settings of one search for blobs.
 
-    Fields
-    ------
+    Attributes
+    ----------
     smoothing_px : sigma of the initial Gaussian filter.
-    reach_blocks : half the side of the neighbourhood of the local threshold, in blocks.
-    opening_px : side of a morphological opening that removes thin dark lines from blobs; 0 for
-        none.
-    closing_px : side of a morphological closing that fills thin white lines in blobs; 0 for none.
+    reach_blocks : half the side of the square neighbourhood from which the threshold is computed,
+        in blocks of `tuning.detection.block_px` pixels.
+    opening_px : side of a morphological opening that removes thin dark lines from blobs; 0 for no
+        opening.
+    closing_px : side of a morphological closing that fills thin white lines in blobs; 0 for no
+        closing.
     """
 
     smoothing_px: float
@@ -55,24 +57,34 @@ class BlobScale(NamedTuple):
 def find_blobs(
     grey: Float[np.ndarray, "h w"], noise_sigma: float, scale: BlobScale, tuning: CalibTuning
 ) -> Blobs:
-    """Connected dark regions of nearly elliptical shape.
+    """Find connected dark regions of nearly elliptical shape.
 
-    noise_sigma : standard deviation of the noise of `grey`, in its levels.
+    Parameters
+    ----------
+    grey : grey levels.
+    noise_sigma : standard deviation of the image noise, grey levels.
+    scale : settings of this search.
+    tuning : tuned constants of calibration.
     """
     smooth = cv2.GaussianBlur(grey, (0, 0), scale.smoothing_px)
-    dark = _dark(smooth, noise_sigma / (2 * np.sqrt(np.pi) * scale.smoothing_px), scale, tuning)
+    dark = _mask_dark_pixels(
+        smooth, noise_sigma / (2 * np.sqrt(np.pi) * scale.smoothing_px), scale, tuning
+    )
     steps = (cv2.MORPH_OPEN, scale.opening_px), (cv2.MORPH_CLOSE, scale.closing_px)
     for step, side_px in steps:
         if side_px:
             kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side_px, side_px))
             dark = cv2.morphologyEx(dark, step, kernel)
-    return _moments(dark, tuning)
+    return _ellipses_of_outlines(dark, tuning)
 
 
-def _dark(
+def _mask_dark_pixels(
     smooth: Float[np.ndarray, "h w"], noise_sigma: float, scale: BlobScale, tuning: CalibTuning
 ) -> np.ndarray:
-    """Mask of the pixels darker than the mean of their neighbourhood's minimum and maximum."""
+    """Mask of the dark pixels, (h, w).
+
+    A pixel is dark if its level is below the mean of the smallest and the largest level around it.
+    """
     block_px = tuning.detection.block_px
     height, width = smooth.shape
     # The smoothed image needs only every second pixel for its extremes.
@@ -94,8 +106,12 @@ def _dark(
     return cv2.compare(smooth, full, cv2.CMP_LT)
 
 
-def _moments(dark: np.ndarray, tuning: CalibTuning) -> Blobs:
-    """Ellipses with the moments of the outer outlines of dark regions; holes are filled."""
+def _ellipses_of_outlines(dark: np.ndarray, tuning: CalibTuning) -> Blobs:
+    """Ellipses with the same moments as the outer outlines of dark regions.
+
+    Holes are filled. Regions at the border of the image and regions that are not elliptical are
+    omitted.
+    """
     height, width = dark.shape
     outlines, hierarchy = cv2.findContours(dark, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     rows = []
@@ -115,11 +131,11 @@ def _moments(dark: np.ndarray, tuning: CalibTuning) -> Blobs:
     root = np.sqrt(np.maximum(xx * yy - xy * xy, 1e-9))
     roundness = area / (4 * np.pi * root)
     smallest, largest = tuning.detection.roundness
-    keep = (roundness > smallest) & (roundness < largest)
-    if np.sum(keep) > tuning.detection.most_blobs:
-        keep &= area >= np.sort(area[keep])[-tuning.detection.most_blobs]
+    is_round = (roundness > smallest) & (roundness < largest)
+    if np.sum(is_round) > tuning.detection.most_blobs:
+        is_round &= area >= np.sort(area[is_round])[-tuning.detection.most_blobs]
     centres = table[:, 1:3] / area[:, None]
-    shape = 4.0 * np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)[keep]
+    shape = 4.0 * np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)[is_round]
     # Outlines run through pixel centres: enlarge by half a pixel on every side.
     shape = shape + shape @ inverse_square_root(shape) + 0.25 * np.eye(2)
-    return Blobs(centres[keep], shape)
+    return Blobs(centres[is_round], shape)

@@ -18,7 +18,7 @@ from trinoc.calib.detection.corners import (
     levels_of_8_bit,
     refine_corners,
 )
-from trinoc.calib.detection.detection import Detection, build_detection, rightward_share
+from trinoc.calib.detection.detection import Detection, build_detection, rightward_cosine
 from trinoc.calib.detection.neighbour_check import are_in_place, predict_from_neighbours
 from trinoc.calib.detection.search_image import search_image
 from trinoc.calib.targets.checkers import Chessboard
@@ -36,9 +36,15 @@ def detect_chessboard(
     """Detect all inner corners of a chessboard, which must be completely visible.
 
     If a rotation maps the colours of the board onto themselves, several labellings are possible.
-    The first is the one whose X axis points most to the right; `Detection.ambiguity` has the
-    others. This also applies to a board whose top left square is light. A mirrored chessboard
-    cannot be recognised.
+    The first is the labelling whose X axis points most to the right in the image; the others are in
+    `Detection.ambiguity`. The same applies to a board whose top left square is light. A mirrored
+    chessboard cannot be recognised.
+
+    Parameters
+    ----------
+    image : grey or colour image.
+    board : the chessboard.
+    tuning : tuned constants of calibration.
 
     Raises
     ------
@@ -53,10 +59,10 @@ def detect_chessboard(
             "found in the image; show all of it, with a light margin, in focus."
         )
     orders = _orders_from_front(corners_px, board)
-    matching = [order for order in orders if _light_over_dark(grey, corners_px[order], board) > 0]
+    matching = [order for order in orders if _light_minus_dark(grey, corners_px[order], board) > 0]
     labellings = sorted(
         (np.argsort(order) for order in matching or orders),
-        key=lambda index: -rightward_share(corners_px, board.centres_mm[index]),
+        key=lambda index: -rightward_cosine(corners_px, board.centres_mm[index]),
     )
     # The search is wrong by some tenths of a pixel in outer rows of oblique boards.
     fitted = refine_corners(search_input, grey, corners_px, distances_to_next(corners_px), tuning)
@@ -66,9 +72,9 @@ def detect_chessboard(
 def _search(
     grey: UInt8[np.ndarray, "h w"], board: Chessboard, tuning: CalibTuning
 ) -> Float[np.ndarray, "n 2"] | None:
-    """Corner positions row by row, accurate to some pixels; None if all searches fail.
+    """Approximate corner positions row by row, px; None if no search succeeds.
 
-    A large image is searched at reduced size first.
+    A large image is first searched at reduced size. The errors are up to some pixels.
     """
     scale = min(1.0, np.sqrt(tuning.detection.most_searched_px / grey.size))
     small = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale,
@@ -79,10 +85,10 @@ def _search(
         for corners in _searches(image, (board.columns, board.rows)):
             # The origin is the centre of the first pixel at both sizes.
             corners_px = (corners + 0.5) * (grey.shape[1] / image.shape[1]) - 0.5
-            right = are_in_place(grid_mm, corners_px, share, tuning)
-            if right.sum() > best_count:
-                best, best_count = corners_px, int(right.sum())
-            if right.all():
+            in_place = are_in_place(grid_mm, corners_px, share, tuning)
+            if in_place.sum() > best_count:
+                best, best_count = corners_px, int(in_place.sum())
+            if in_place.all():
                 return corners_px
         if best is not None and best_count >= tuning.detection.least_right_share * len(grid_mm):
             return _correct_outliers(grid_mm, best, tuning)
@@ -92,10 +98,13 @@ def _search(
 def _searches(
     grey: UInt8[np.ndarray, "h w"], size: tuple[int, int]
 ) -> Iterator[Float[np.ndarray, "_n 2"]]:
-    """Yield the corner positions of each successful search.
+    """Yield the corner positions of each OpenCV search that succeeds.
 
-    The order is that of success on public image sets, and also of computing time. The exhaustive
-    search takes ten times as long: it runs only if a quick check detects squares.
+    The searches with the highest success rate on public image sets come first, which are also the
+    fastest. The exhaustive search takes ten times as long. It runs only if a quick test detects
+    squares.
+
+    size : (columns, rows) of corners.
     """
     is_found, corners = cv2.findChessboardCorners(grey, size, flags=_CLASSIC)
     if is_found:
@@ -111,21 +120,22 @@ def _searches(
 def _correct_outliers(
     board_mm: Float[np.ndarray, "n 2"], corners_px: Float[np.ndarray, "n 2"], tuning: CalibTuning
 ) -> Float[np.ndarray, "n 2"]:
-    """Corners with each inconsistent one replaced by the prediction of its neighbours."""
-    moved = corners_px.copy()
-    right = are_in_place(board_mm, corners_px, tuning.detection.first_out_of_place_share, tuning)
-    for wrong in np.flatnonzero(~right):
-        rows = np.append(np.flatnonzero(right), wrong)
-        moved[wrong] = predict_from_neighbours(board_mm[rows], corners_px[rows]).px[-1]
-    return moved
+    """Corner positions in which predictions from the neighbours replace outliers."""
+    corrected_px = corners_px.copy()
+    in_place = are_in_place(board_mm, corners_px, tuning.detection.first_out_of_place_share, tuning)
+    for outlier in np.flatnonzero(~in_place):
+        rows = np.append(np.flatnonzero(in_place), outlier)
+        corrected_px[outlier] = predict_from_neighbours(board_mm[rows], corners_px[rows]).px[-1]
+    return corrected_px
 
 
 def _orders_from_front(
     corners_px: Float[np.ndarray, "n 2"], board: Chessboard
 ) -> list[Int[np.ndarray, "_n"]]:
-    """Possible orders of the detected corners, for a board seen from its front.
+    """Possible orders of the detected corners for a board seen from its front.
 
-    One permutation per rotation: entry i is the detected corner at corner i of the board.
+    Each order is a permutation for one rotation of the board: entry i is the index of the detected
+    corner that is corner i of the board.
     """
     grid = np.arange(len(corners_px)).reshape(board.rows, board.columns)
     rows_px = corners_px.reshape(board.rows, board.columns, 2)
@@ -137,10 +147,10 @@ def _orders_from_front(
     return [rotated.ravel() for rotated in turned if rotated.shape == grid.shape]
 
 
-def _light_over_dark(
+def _light_minus_dark(
     grey: UInt8[np.ndarray, "h w"], corners_px: Float[np.ndarray, "n 2"], board: Chessboard
 ) -> float:
-    """Mean grey level of the light inner squares minus that of the dark ones."""
+    """Mean grey level of the light inner squares minus that of the dark inner squares."""
     rows_px = corners_px.reshape(board.rows, board.columns, 2)
     middles = 0.25 * (rows_px[:-1, :-1] + rows_px[1:, :-1] + rows_px[:-1, 1:] + rows_px[1:, 1:])
     column, row = np.rint(middles).astype(int).reshape(-1, 2).T

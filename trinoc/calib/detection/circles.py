@@ -9,7 +9,7 @@ from jaxtyping import Float, Int, Shaped
 
 from trinoc.calib.detection.blobs import Blobs, BlobScale, find_blobs
 from trinoc.calib.detection.cross_lines import fit_cross_lines
-from trinoc.calib.detection.detection import Detection, build_detection, rightward_share
+from trinoc.calib.detection.detection import Detection, build_detection, rightward_cosine
 from trinoc.calib.detection.ellipse_fit import Ellipses
 from trinoc.calib.detection.ellipse_pixels import quick_median
 from trinoc.calib.detection.labels import (
@@ -29,10 +29,10 @@ from trinoc.errors import DetectionError
 
 
 class Sheet(NamedTuple):
-    """Sheet located in one image.
+    """A sheet located in one image, with m measured circles.
 
-    Fields
-    ------
+    Attributes
+    ----------
     index : (k, m) pattern index of each circle, one row per possible labelling.
     ellipses : (m,) ellipses fitted to the circles.
     mapping : mapping from the sheet, mm, to the image, px.
@@ -46,7 +46,20 @@ class Sheet(NamedTuple):
 def detect_circles(
     image: Shaped[np.ndarray, "..."], pattern: Pattern, tuning: CalibTuning
 ) -> Detection:
-    """Detect the circles and crossed lines of a sheet in one image: see `detect_pattern`."""
+    """Detect the circles and crossed lines of a sheet in one image.
+
+    For details see `trinoc.calib.detection.registry.detect_pattern`.
+
+    Parameters
+    ----------
+    image : grey or colour image.
+    pattern : the sheet.
+    tuning : tuned constants of calibration.
+
+    Raises
+    ------
+    DetectionError : see `detect_pattern`.
+    """
     search_input = search_image(image)
     symmetry = pattern_symmetry(pattern, tuning)
     failures: list[tuple[int, DetectionError]] = []
@@ -77,9 +90,11 @@ def _no_sheet_error(pattern: Pattern) -> DetectionError:
 def circle_candidates(image: Shaped[np.ndarray, "..."], *, tuning: CalibTuning = TUNING) -> Blobs:
     """Dark regions of an image that could be circles of any pattern.
 
+    Only the first scale of the search is used; `detect_pattern` also searches at other scales.
+
     Parameters
     ----------
-    image : as for `detect_pattern`, which also searches at other scales.
+    image : (height, width) or (height, width, channels) image.
     tuning : tuned constants of calibration.
     """
     return next(_find_blobs_by_scale(search_image(image), tuning))
@@ -103,7 +118,10 @@ def _find_sheets(
     failures: list[tuple[int, DetectionError]],
     tuning: CalibTuning,
 ) -> list[Sheet]:
-    """All sheets among the blobs; appends (number of blobs, error) of failures to `failures`."""
+    """Find all sheets among the blobs.
+
+    failures : list to which the number of blobs and the error of each failed lattice are appended.
+    """
     pattern, sheets = symmetry.pattern, list[Sheet]()
     for lattice in find_lattices(blobs, symmetry, tuning):
         try:
@@ -113,9 +131,12 @@ def _find_sheets(
         except DetectionError as failure:
             failures.append((len(lattice), failure))
             continue
-        same = [other for other in sheets if _shows_same_sheet(other, sheet, pattern)]
+        same_sheets = [other for other in sheets if _shows_same_sheet(other, sheet, pattern)]
         different = [other for other in sheets if not _shows_same_sheet(other, sheet, pattern)]
-        sheets = [*different, max([*same, sheet], key=lambda candidate: len(candidate.index[0]))]
+        sheets = [
+            *different,
+            max([*same_sheets, sheet], key=lambda candidate: len(candidate.index[0])),
+        ]
     return sheets
 
 
@@ -126,12 +147,12 @@ def _read_sheet(
     symmetry: PatternSymmetry,
     tuning: CalibTuning,
 ) -> Sheet:
-    """Label a lattice and measure all visible circles of the pattern.
+    """Label the circles of a lattice, and measure all visible circles of the pattern.
 
     Raises
     ------
-    DetectionError : the lattice cannot be labelled (see `label_circles`), or too few of its blobs
-        are fitted well by circles.
+    DetectionError : the circles cannot be labelled (see `label_circles`), or too few blobs are
+        circles.
     """
     pattern, cell = symmetry.pattern, lattice.cell.astype(float)
     centres = blobs.centres_px[lattice.blob]
@@ -141,11 +162,11 @@ def _read_sheet(
     blob_area = np.sqrt(np.linalg.det(blobs.shape_px2[lattice.blob]))
     swelling = quick_median(blob_area / np.sqrt(np.linalg.det(shape)))
     coarse = fit_coarsely(image, centres, shape * swelling, symmetry.hole_ratio, tuning)
-    good = are_plausible(coarse, centres, shape, image.noise_sigma)
+    is_plausible = are_plausible(coarse, centres, shape, image.noise_sigma)
     fewest = tuning.detection.fewest_places
-    if np.sum(good) < fewest:
+    if np.sum(is_plausible) < fewest:
         raise _no_sheet_error(pattern)
-    coarse, cell = coarse.take(good), lattice.cell[good]
+    coarse, cell = coarse.take(is_plausible), lattice.cell[is_plausible]
     index = label_circles(cell, _ring_evidence(coarse, symmetry, tuning), symmetry, tuning)
     on_pattern = index >= 0
     ellipses, index, mapping = measure_circles(
@@ -158,7 +179,7 @@ def _read_sheet(
             f" {fewest} complete circles, without motion and in focus."
         )
     labellings = symmetry.symmetries[:, index]
-    rightward = [rightward_share(ellipses.centres_px, pattern.centres_mm[k]) for k in labellings]
+    rightward = [rightward_cosine(ellipses.centres_px, pattern.centres_mm[k]) for k in labellings]
     labellings = labellings[np.argsort(-np.array(rightward), kind="stable")]
     first = labellings[0]
     if not np.array_equal(first, index):
@@ -178,7 +199,7 @@ def _ring_evidence(
 
 
 def _shows_same_sheet(first: Sheet, second: Sheet, pattern: Pattern) -> bool:
-    """True if two lattices of an image are parts of one sheet, for example split by a shadow."""
+    """True if two detected parts belong to one sheet, for example a sheet divided by a shadow."""
     if len(second.index[0]) > len(first.index[0]):
         # The larger part predicts the smaller one: few circles extrapolate poorly.
         first, second = second, first

@@ -24,7 +24,7 @@ from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.numerics.small_least_squares import Residuals, gauss_newton
 
 # numerical: parameters of a corner, in the order of the Jacobian's columns.
-_CORNER, _ANGLES, _LOG_BLUR, _MEAN, _CONTRAST, _BEND, _SLOPE = (
+_CORNER, _ANGLES, _LOG_BLUR, _MEAN, _CONTRAST, _CURVATURE, _SLOPE = (
     slice(0, 2), slice(2, 4), 4, 5, 6, 7, slice(8, 10)
 )  # fmt: skip
 # numerical: number of parameters, and those whose derivative is odd about the corner.
@@ -37,22 +37,28 @@ _DENSITY = np.float32(1.0 / np.sqrt(2.0 * np.pi))  # numerical: of the normal di
 
 
 class FittedCorners(NamedTuple):
-    """Corner positions (n, 2) in px, and their covariances (n, 2, 2)."""
+    """Fitted corner positions, with covariances.
+
+    Attributes
+    ----------
+    corners_px : (n, 2) positions.
+    covariance_px2 : (n, 2, 2) covariances of the positions.
+    """
 
     corners_px: Float[np.ndarray, "n 2"]
     covariance_px2: Float[np.ndarray, "n 2 2"]
 
 
 class _Windows(NamedTuple):
-    """Square windows around the pixels nearest to the corners; k pixels each, row by row.
+    """Square windows of k pixels around n corners, pixels row by row.
 
-    Fields
-    ------
+    Attributes
+    ----------
     side : side of a window in pixels.
-    origin_px : (n, 2) centre pixel of each window.
+    origin_px : (n, 2) centre pixel of each window, which is the pixel nearest to the corner.
     x, y : (k,) column and row of each pixel relative to the centre pixel.
     grey : (n, k) grey levels.
-    used : (n, k) mask of the pixels inside the image and within the radius of the corner.
+    used : (n, k) mask of the pixels that are inside the image and within the radius of the corner.
     """
 
     side: int
@@ -64,7 +70,7 @@ class _Windows(NamedTuple):
 
     @property
     def pixels(self) -> WindowPixels:
-        """Pixel positions from the first pixel of each window, for `sandwich_covariance`."""
+        """Pixel positions relative to the first pixel of each window, for `sandwich_covariance`."""
         row, column = np.indices((self.side, self.side)).reshape(2, 1, -1)
         shape = self.used.shape
         return WindowPixels(
@@ -78,19 +84,19 @@ def fit_corners(
     radius_px: Float[np.ndarray, "n"],
     tuning: CalibTuning,
 ) -> FittedCorners:
-    """Fit each corner to the grey levels within a radius around it.
+    """Fit each corner of crossing edges to the grey levels within a radius.
 
     Parameters
     ----------
     image : grey image with its noise.
-    start_px : (n, 2) approximate positions.
-    radius_px : (n,) radius of the region around each corner.
+    start_px : (n, 2) approximate corner positions.
+    radius_px : (n,) radius of the region of pixels that each fit uses.
     tuning : tuned constants of calibration.
 
     Returns
     -------
-    Positions and covariances. If a fit fails, the result is the start position with a standard
-    deviation of `radius_px`.
+    Positions and covariances. If a fit fails, the result is the approximate position with a
+    standard deviation of `radius_px`.
     """
     windows = _cut_windows(image, start_px, radius_px)
     noise = max(image.noise_sigma, 1e-3 * float(np.ptp(windows.grey)), 1e-9)
@@ -159,7 +165,7 @@ def _cut_windows(
 def _start_corners(
     windows: _Windows, start_px: Float[np.ndarray, "n 2"], radius_px: Float[np.ndarray, "n"]
 ) -> Float[np.ndarray, "n p"]:
-    """Initial parameters of each corner from a quadratic saddle fitted to the grey levels.
+    """Initial parameters of each corner, from a quadratic saddle surface fitted to the grey levels.
 
     The edges lie along the directions of zero curvature of the saddle.
     """
@@ -197,9 +203,10 @@ def _start_corners(
 def _predict(
     windows: _Windows, state: Float[np.ndarray, "n p"]
 ) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "n k p"]]:
-    """Predicted grey levels, and their derivatives by the parameters, in 32 bit.
+    """Predicted grey levels of the pixels, (n, k), and their derivatives, (n, k, p), in 32 bit.
 
-    The derivatives by one parameter are contiguous in memory, for speed.
+    The derivatives are with respect to the p parameters of a corner. Those with respect to one
+    parameter are contiguous in memory, for speed.
     """
     u, v = (
         axis - _column(corner) for axis, corner in zip((windows.x, windows.y), state[:, _CORNER].T)
@@ -218,29 +225,29 @@ def _predict(
     np.exp(density, out=density)
     density *= 2 * _DENSITY
     # Terms of first and second degree in the correlation n1.n2 of both errors.
-    shared = cosine[0] * cosine[1] + sine[0] * sine[1]
-    both = shared * density[0]
+    correlation = cosine[0] * cosine[1] + sine[0] * sine[1]
+    both = correlation * density[0]
     both *= density[1]
-    bent = 0.5 * shared * z[0]
-    bent *= z[1]
-    bent += 1
+    second_order = 0.5 * correlation * z[0]
+    second_order *= z[1]
+    second_order += 1
     product = side[0] * side[1]
-    product += both * bent
-    by_z = 0.5 * shared * z[::-1]
-    by_z -= z * bent
+    product += both * second_order
+    by_z = 0.5 * correlation * z[::-1]
+    by_z -= z * second_order
     by_z *= both
     density *= side[::-1]
     by_z += density
-    mean, contrast, bend = (_column(state[:, k]) for k in (_MEAN, _CONTRAST, _BEND))
+    mean, contrast, curvature = (_column(state[:, k]) for k in (_MEAN, _CONTRAST, _CURVATURE))
     slope = state[:, _SLOPE].astype(np.float32)
     light = slope[:, :1] * windows.x
     light += 1
     light += slope[:, 1:] * windows.y
-    level = product * bend
+    level = product * curvature
     level += contrast
     level *= product
     level += mean
-    by_product = 2 * bend * product
+    by_product = 2 * curvature * product
     by_product += contrast
     by_product *= light
     by_z *= by_product
@@ -253,7 +260,7 @@ def _predict(
     jacobian[:, _MEAN] = light
     np.multiply(light, product, out=jacobian[:, _CONTRAST])
     product *= product
-    np.multiply(light, product, out=jacobian[:, _BEND])
+    np.multiply(light, product, out=jacobian[:, _CURVATURE])
     np.multiply(level, windows.x, out=jacobian[:, 8])
     np.multiply(level, windows.y, out=jacobian[:, 9])
     level *= light
@@ -266,7 +273,7 @@ def _rotate(
     sine: Float[np.ndarray, "*a 1"],
     v: Float[np.ndarray, "n k"],
 ) -> Float[np.ndarray, "*a k"]:
-    """Return cosine u + sine v."""
+    """Return cosine * u + sine * v, computed with one temporary array."""
     total = cosine * u
     total += sine * v
     return total

@@ -14,20 +14,21 @@ def refine_corners(
     image: SearchImage,
     grey: UInt8[np.ndarray, "h w"],
     start_px: Float[np.ndarray, "n 2"],
-    room_px: Float[np.ndarray, "n"],
+    clearance_px: Float[np.ndarray, "n"],
     tuning: CalibTuning,
 ) -> FittedCorners:
-    """Refine corner positions that are accurate to some px.
+    """Refine corner positions that are accurate to some pixels.
 
-    The first step intersects the gradients' normals (`cv2.cornerSubPix`). The second fits the grey
-    levels (`fit_corners`), which is three times as accurate.
+    The first step is `cv2.cornerSubPix`: the point nearest to the lines through all pixels
+    perpendicular to their grey-level gradients. The second step fits the grey levels
+    (`fit_corners`), which is three times as accurate.
 
     Parameters
     ----------
     image : grey image with its noise.
-    grey : the same image by `levels_of_8_bit`.
+    grey : the same image with 8-bit levels, from `levels_of_8_bit`.
     start_px : (n, 2) approximate positions.
-    room_px : (n,) distance from each corner to the nearest other feature.
+    clearance_px : (n,) distance from each corner to the nearest other edge or corner.
     tuning : tuned constants of calibration.
 
     References
@@ -36,7 +37,7 @@ def refine_corners(
     points, corners and centres of circular features", 1987.
     """
     share, limits = tuning.detection.refined_share, tuning.detection.refined_half_px
-    half_px = np.clip(share * room_px, *limits)
+    half_px = np.clip(share * clearance_px, *limits)
     half = int(np.median(half_px))
     corners_px = cv2.cornerSubPix(
         grey,
@@ -51,12 +52,15 @@ def refine_corners(
 
 
 def distances_to_next(corners_px: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m"]:
-    """Distance from each corner to the nearest other one."""
+    """Distance from each corner to the nearest other corner, px."""
     return np.asarray(point_tree(corners_px).query(corners_px, 2)[0])[:, 1]
 
 
 def levels_of_8_bit(grey: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
-    """Convert grey levels to 8 bit for OpenCV; other ranges than 0 to 255 are stretched to it."""
+    """Convert grey levels to 8 bit for OpenCV.
+
+    Levels that do not have the range of an 8-bit image are stretched to 0 to 255.
+    """
     low, high = float(grey.min()), float(grey.max())
     if low >= 0.0 and 127.0 < high <= 255.0:
         low, high = 0.0, 255.0

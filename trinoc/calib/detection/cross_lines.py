@@ -35,7 +35,7 @@ def fit_cross_lines(
     blur_px: float,
     tuning: CalibTuning,
 ) -> Float[np.ndarray, "2 3"]:
-    """Measure the images of the lines along X and along Y.
+    """Measure the images of the sheet's lines along X and along Y.
 
     Grey profiles are sampled across the predicted line at many stations, away from the circles and
     the other line. The centroid of the darkness of a profile is a point of the line.
@@ -50,7 +50,7 @@ def fit_cross_lines(
 
     Returns
     -------
-    (2, 3) homogeneous lines with unit normals; NaN for a line that is not visible.
+    (2, 3) homogeneous lines with unit normals, px; NaN for a line that is not visible.
     """
     lines = np.full((2, 3), np.nan)
     if pattern.line_width_mm == 0.0:
@@ -63,7 +63,7 @@ def fit_cross_lines(
 
 
 def _stations_mm(pattern: Pattern, axis: int) -> Float[np.ndarray, "n 2"]:
-    """Points of a line, in the sheet's frame, away from the circles and the other line."""
+    """Points (X, Y) of the sheet's line along `axis`, away from the circles and the other line."""
     half = pattern.line_half_length_mm[axis]
     along = np.linspace(-half, half, _STATIONS + 2)[1:-1]
     stations = np.zeros((_STATIONS, 2))
@@ -120,7 +120,10 @@ def _fit_line(
 
 
 def _robust_line(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "3"]:
-    """Line through points, with unit normal, by total least squares with Cauchy weights."""
+    """Homogeneous line with unit normal through points.
+
+    It is fitted by total least squares with Cauchy weights.
+    """
     weight = np.ones(len(points))
     line = np.full(3, np.nan)
     for _ in range(_REWEIGHTINGS):
@@ -138,7 +141,16 @@ def _robust_line(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "3"]:
 def are_clear_of_lines(
     pattern: Pattern, index: Int[np.ndarray, "n"], tuning: CalibTuning
 ) -> Bool[np.ndarray, "n"]:
-    """Mask of the circles whose surrounding paper, from which its grey is read, meets no line."""
+    """Mask of the circles around which no crossed line passes.
+
+    The grey level of the paper can be read around these circles.
+
+    Parameters
+    ----------
+    pattern : the sheet.
+    index : (n,) pattern indices of the circles.
+    tuning : tuned constants of calibration.
+    """
     centre_mm = np.abs(pattern.centres_mm[index])
     reach_mm = tuning.detection.outer_radii * pattern.radius_mm[index, None]
     is_near = centre_mm[:, ::-1] < reach_mm + 0.5 * pattern.line_width_mm
@@ -154,9 +166,9 @@ def subtract_line_blur(
     mapping: PlaneMapping,
     outer: Float[np.ndarray, "n"],
 ) -> EllipsePixels:
-    """Remove the darkening by the blur of a neighbouring line from the pixels of circles.
+    """Remove the darkening by a blurred crossed line from the pixels around circles.
 
-    Lines that meet a circle are not removed: the fit excludes their pixels as outliers.
+    Lines that meet a circle are not removed, because the fit excludes their pixels as outliers.
 
     Parameters
     ----------
@@ -165,7 +177,7 @@ def subtract_line_blur(
     index : (n,) pattern index of each circle.
     pattern : the sheet.
     mapping : mapping from the sheet, mm, to the image, px.
-    outer : (n,) outer limit of the pixels, in radii of each ellipse.
+    outer : (n,) outer limit of the pixels of each circle, in radii of its ellipse.
     """
     if pattern.line_width_mm == 0.0:
         return pixels

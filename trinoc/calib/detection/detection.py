@@ -22,21 +22,21 @@ _POSITION = ("u_px", "v_px")
 
 
 class Detection(Table):
-    """Labelled points (circles or corners) of a board detected in one image.
+    """Labelled points (circles or corners) of a board or a set of boards, detected in one image.
 
-    Fields
-    ------
+    Attributes
+    ----------
     circle_index : (m,) index of each detected circle or corner among the board's points.
     centres_px : (m, 2) position of the corner, or centre of the ellipse fitted to the outer edge of
         the circle.
     covariance_px2 : (m, 2, 2) covariance of `centres_px`.
     shape_px2 : (m, 2, 2) shape matrix S of the ellipse (x - c)^T S^-1 (x - c) = 1; NaN for corners.
     lines_px : (2, 3) homogeneous images of the sheet's lines along X and Y, with unit normals; NaN
-        if not visible.
+        for a line that is not visible.
     image_size_px : (width, height) of the image.
-    ambiguity : (k, m) other labellings that the symmetry of the board allows, in the order of
-        `circle_index`. For example, a plain grid of discs looks the same after a half turn. None if
-        `circle_index` is unique.
+    ambiguity : (k, m) other labellings that the symmetry of the board allows: the index of each
+        point in the order of `circle_index`. For example, a plain grid of discs looks the same
+        after a half turn. None if the labelling is unique.
     remarks : sentences without a full stop about detected points that were excluded.
     """
 
@@ -60,7 +60,7 @@ class Detection(Table):
 
     @property
     def labellings(self) -> Int[np.ndarray, "l m"]:
-        """All possible labellings, `circle_index` first."""
+        """All possible labellings, (l, m): point indices, `circle_index` first."""
         first = self.circle_index[None]
         return first if self.ambiguity is None else np.concatenate([first, self.ambiguity])
 
@@ -74,9 +74,13 @@ def build_detection(
     lines_px: Float[np.ndarray, "2 3"] | None = None,
     remarks: tuple[str, ...] = (),
 ) -> Detection:
-    """Make a detection from all possible labellings, of which the first is used.
+    """Make a detection from all possible labellings; the first labelling becomes `circle_index`.
 
-    Without `shape_px2` the points are corners. For the other arguments see `Detection`.
+    Parameters
+    ----------
+    labellings : (l, m) point index of each detected point, one row per possible labelling.
+    shape_px2 : shape matrices of ellipses; None if the points are corners.
+    centres_px, covariance_px2, image_size_px, lines_px, remarks : see `Detection`.
     """
     return Detection(
         circle_index=labellings[0],
@@ -90,11 +94,14 @@ def build_detection(
     )
 
 
-def rightward_share(
+def rightward_cosine(
     centres_px: Float[np.ndarray, "m 2"], on_board_mm: Float[np.ndarray, "m 2"]
 ) -> float:
-    """Cosine of the angle between the board's X axis in the image and the direction to the right.
+    """Cosine of the angle between the image of the board's X axis and the direction to the right.
 
+    Parameters
+    ----------
+    centres_px : (m, 2) image positions.
     on_board_mm : (m, 2) positions of the same points on the board.
     """
     affine, *_ = np.linalg.lstsq(
@@ -106,7 +113,14 @@ def rightward_share(
 def split_by_board(detection: Detection, target: AbstractTarget) -> dict[int, Detection]:
     """Split a detection of a set of boards into one detection per visible board.
 
-    The keys are indices of the boards. Points keep their indices in the whole set.
+    Parameters
+    ----------
+    detection : points of all visible boards.
+    target : the board or the set of boards.
+
+    Returns
+    -------
+    Detections by index of the board. Points keep their indices in the whole set.
     """
     if not isinstance(target, BoardSet):
         return {0: detection}

@@ -36,16 +36,16 @@ _DENSITY = np.float32(1.0 / np.sqrt(2.0 * np.pi))  # numerical: of the normal di
 
 
 class Ellipses(NamedTuple):
-    """Fitted ellipses: parameters and quality of the fit.
+    """Images of n circles as fitted ellipses, with the quality of each fit.
 
-    Fields
-    ------
+    Attributes
+    ----------
     centres_px : (n, 2) centres.
-    shape_px2 : (n, 2, 2) shape matrices S of (x - c)^T S^-1 (x - c) = 1.
+    shape_px2 : (n, 2, 2) shape matrices S of the ellipses, (x - c)^T S^-1 (x - c) = 1.
     blur_px : (n,) sigma of the edge's blur.
-    paper : (n,) grey level of the paper, extrapolated to the centre.
+    paper : (n,) grey level of the paper, extrapolated to the centre of the circle.
     ink : (n,) share of the light that the ink absorbs.
-    hole : (n,) estimated visibility of the hole: 1 for a ring, 0 for a disc.
+    hole : (n,) estimated visibility of the circle's hole: 1 for a ring, 0 for a disc.
     hole_sigma : (n,) standard deviation of `hole`.
     slope : (n, 2) relative change of the light per pixel along x and y.
     covariance_px2 : (n, 2, 2) covariance of the centres.
@@ -66,11 +66,11 @@ class Ellipses(NamedTuple):
     inlier_share: Float[np.ndarray, "n"]
 
     def take(self, index: np.ndarray) -> "Ellipses":
-        """Select ellipses by an index or a mask."""
+        """Ellipses at the given indices or in a mask."""
         return Ellipses(*(field[index] for field in self))
 
     def concatenate(self, other: "Ellipses") -> "Ellipses":
-        """Join two sets of ellipses, these first."""
+        """Ellipses of this set, then those of the other set."""
         return Ellipses(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
     def rescale(self, factor: int) -> "Ellipses":
@@ -93,9 +93,15 @@ def start_ellipses(
     hole_ratio: float,
     sampled_share: float,
 ) -> Ellipses:
-    """Initial grey levels, blur and holes for ellipses with approximate centres and shapes.
+    """Initial values of the fit for ellipses with approximate centres and shapes.
 
-    hole_ratio : inner over outer radius of rings; 0 for a sheet without rings.
+    Grey levels, blur and holes are estimated from the pixels.
+
+    Parameters
+    ----------
+    pixels : pixels around the ellipses.
+    centres_px, shape_px2 : (n, 2), (n, 2, 2) approximate centres and shape matrices.
+    hole_ratio : inner radius of the rings divided by the outer radius; 0 for a sheet without rings.
     sampled_share : share of the pixels around the ellipses that `pixels` contains.
     """
     count = len(centres_px)
@@ -141,18 +147,19 @@ def refine_ellipses(
     outlier_shares: tuple[float, ...],
     tuning: CalibTuning,
 ) -> Ellipses:
-    """Refine ellipses by Gauss-Newton steps, one per entry of `outlier_shares`.
+    """Refine ellipses by Gauss-Newton steps, one step per entry of `outlier_shares`.
 
     Parameters
     ----------
     pixels : pixels around the ellipses.
     start : (n,) initial ellipses.
-    hole_ratio : inner over outer radius of rings; 0 excludes holes from the model.
-    slope_sigma : (n,) prior standard deviation of the slope of the light about that of `start`;
-        holes are then fixed. With None, holes are estimated and the slope is fixed.
+    hole_ratio : inner radius of the rings divided by the outer radius; 0 excludes holes from the
+        model.
+    slope_sigma : (n,) prior standard deviation of the slope of the light, whose prior mean is that
+        of `start`. The holes are then fixed. If None, holes are estimated and the slope is fixed.
     noise_sigma : standard deviation of the image noise, grey levels.
-    outlier_shares : limit of the residuals in each step, as a share of the contrast. The limit also
-        grows with the noise (4.5 sigma) and with the typical misfit of the image.
+    outlier_shares : largest residual of an inlier in each step, as a share of the contrast. This
+        limit increases with the noise (4.5 sigma) and with the typical misfit of the image.
     tuning : tuned constants of calibration.
 
     Returns
@@ -188,7 +195,13 @@ def _linearise(
     free_hole: bool,
     free_slope: bool,
 ) -> tuple[Float[np.ndarray, "n k p"], Float[np.ndarray, "n p"]]:
-    """Jacobian of the model, and residuals (observed minus predicted grey level), in 32 bit."""
+    """Jacobian of the model, (n, k, p), and residuals of the pixels, (n, p), in 32 bit.
+
+    A residual is the observed minus the predicted grey level.
+
+    frame : (n, 2, 2) S^(-1/2) of each shape matrix.
+    free_hole, free_slope : True if the hole, or the slope of the light, is estimated.
+    """
     y1, y2 = _to_circle_frame(pixels, state.centres_px, frame)
     radius = np.sqrt(y1 * y1 + y2 * y2)
     np.maximum(radius, np.float32(0.05), out=radius)
@@ -244,7 +257,12 @@ def _select_inliers(
     noise_sigma: float,
     tuning: CalibTuning,
 ) -> Bool[np.ndarray, "n p"]:
-    """Mask of the pixels whose residuals noise and the typical misfit of the image can explain."""
+    """Mask of the inlier pixels.
+
+    The residual of an inlier can be explained by noise and by the typical misfit of the image.
+
+    share : smallest limit of the residuals, as a share of the contrast.
+    """
     contrast = np.abs(state.paper * state.ink) + 1e-12
     relative = np.abs(residual) * _column(1.0 / contrast)
     is_moderate = pixels.used & (relative < tuning.detection.largest_misfit)
@@ -265,7 +283,11 @@ def _add_priors(
 ) -> None:
     """Add priors to the normal equations, in place.
 
-    Priors: each blur equals the median blur, each slope that of `start`, and a small ridge.
+    The prior means are the median blur of all circles and the slope of the light in `start`. A
+    small ridge is added for all parameters.
+
+    normal, right : normal matrices and right-hand sides.
+    variance : (n,) variance of the residuals.
     """
     diagonal = np.einsum("nkk->nk", normal)
     diagonal += 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-12
@@ -286,7 +308,10 @@ def _step_ellipses(
     free_hole: bool,
     free_slope: bool,
 ) -> Ellipses:
-    """Ellipses after one step, clipped to shapes that the image of a circle can have."""
+    """Ellipses after one step, clipped to shapes that the image of a circle can have.
+
+    change : (n, k) step of the parameters.
+    """
     limit = 0.5 * smallest_axis(state.shape_px2)[:, None]
     move = np.clip(change[:, _CENTRE], -limit, limit)
     strain = np.clip(change[:, _SHAPE], -0.4, 0.4)
@@ -318,7 +343,10 @@ def _with_covariance(
     noise_sigma: float,
     free_hole: bool,
 ) -> Ellipses:
-    """Fitted ellipses with covariance, residual sigma and share of inliers."""
+    """Copy of the ellipses with covariances, residual sigma and share of inliers.
+
+    normal : normal matrices of the last step.
+    """
     variance = _masked_mean(residual**2, inliers)
     # By chance, residuals can be smaller than the noise: it is the lower limit.
     covariance = np.linalg.inv(normal) * np.maximum(variance, noise_sigma**2)[:, None, None]
@@ -344,12 +372,12 @@ def with_window_noise(
     outlier_share: float,
     tuning: CalibTuning,
 ) -> Ellipses:
-    """Replace the covariances of the centres by those for correlated noise of the pixels.
+    """Copy of the ellipses with covariances of their centres for correlated noise of the pixels.
 
     Parameters
     ----------
     fitted : (n,) ellipses at the end of the fit.
-    pixels : pixels around them.
+    pixels : pixels around the ellipses.
     start, slope_sigma : prior of the slope of the light, as in `refine_ellipses`.
     hole_ratio, noise_sigma, outlier_share, tuning : as in `refine_ellipses`.
 
@@ -386,7 +414,10 @@ def with_window_noise(
 def _to_circle_frame(
     pixels: EllipsePixels, centres_px: Float[np.ndarray, "n 2"], frame: Float[np.ndarray, "n 2 2"]
 ) -> tuple[Float[np.ndarray, "n p"], Float[np.ndarray, "n p"]]:
-    """Coordinates of the pixels in the frame in which each ellipse is the unit circle."""
+    """Pixel coordinates in the frame in which each ellipse is the unit circle.
+
+    frame : (n, 2, 2) S^(-1/2) of each shape matrix.
+    """
     local = centres_px - pixels.origin_px
     dx, dy = pixels.x - _column(local[:, 0]), pixels.y - _column(local[:, 1])
     w11, w12, w22 = (_column(frame[:, i, j]) for i, j in ((0, 0), (0, 1), (1, 1)))

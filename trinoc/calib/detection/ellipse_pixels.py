@@ -16,14 +16,14 @@ _STEP = np.diff(_VALUE, append=_VALUE[-1:])  # numerical: as above
 
 
 class EllipsePixels(NamedTuple):
-    """Pixels around n circles, at most p each.
+    """Pixels around n circles, at most p pixels for each circle.
 
-    Fields
-    ------
+    Attributes
+    ----------
     origin_px : (n, 2) integer reference pixel of each circle.
     x, y : (n, p) column and row of each pixel relative to `origin_px`.
     grey : (n, p) grey levels.
-    used : (n, p) False for padding.
+    used : (n, p) mask of the pixels; False for padding.
     """
 
     origin_px: Float[np.ndarray, "n 2"]
@@ -42,9 +42,14 @@ def pixels_around(
     *,
     step: int = 1,
 ) -> EllipsePixels:
-    """Pixels between `inner` and `outer` radii of each ellipse, inside the image.
+    """Pixels of the image in an elliptical ring around each ellipse.
 
-    step : use only every `step`-th row and column.
+    Parameters
+    ----------
+    grey : grey levels of the image.
+    centres_px, shape_px2 : (n, 2), (n, 2, 2) centres and shape matrices of the ellipses.
+    inner, outer : (n,) limits of the ring, in radii of the ellipse.
+    step : only every `step`-th row and column is used.
     """
     height, width = grey.shape
     origin = np.rint(centres_px)
@@ -91,7 +96,7 @@ def pixels_around(
 
 
 def inverse_square_root(shape: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n 2 2"]:
-    """Symmetric S^(-1/2) of each shape matrix; it maps the ellipse to the unit circle."""
+    """Symmetric matrix S^(-1/2) of each shape matrix S. It maps the ellipse to the unit circle."""
     a, b, c = shape[:, 0, 0], shape[:, 0, 1], shape[:, 1, 1]
     root = np.sqrt(a * c - b * b)
     # By Cayley and Hamilton, S^(1/2) = (S + root I) / sqrt(trace + 2 root); its inverse has the
@@ -108,7 +113,10 @@ def smallest_axis(shape: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
 
 
 def normal_cdf(z: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Normal distribution function Phi(z) in 32 bit, by linear interpolation, accurate to 2e-7."""
+    """Normal distribution function Phi(z) in 32 bit, by linear interpolation.
+
+    The error is at most 2e-7.
+    """
     position = np.clip(z, -_REACH, _REACH)
     position += np.float32(_REACH)
     position *= np.float32(_STEPS_PER_UNIT)
@@ -120,10 +128,13 @@ def normal_cdf(z: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
 
 
 def quick_median(values: Float[np.ndarray, "... n"]) -> Float[np.ndarray, "..."]:
-    """Upper median along the last axis; faster than `np.median`, whose checks cost more."""
+    """Median along the last axis, faster than `np.median`.
+
+    For an even number of values, the larger of the two middle values is returned.
+    """
     return np.sort(values, axis=-1)[..., values.shape[-1] // 2]
 
 
 def column_32(values: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 1"]:
-    """Column vector in 32 bit, to combine one number per circle with rows of pixels."""
+    """Values of n circles as a 32-bit column vector, for arithmetic with (n, p) pixel arrays."""
     return values.astype(np.float32)[:, None]

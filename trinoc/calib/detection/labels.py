@@ -18,22 +18,22 @@ _FEWEST_CIRCLES = 4
 
 
 class MirroredError(DetectionError):
-    """The image is mirrored. No other search can succeed."""
+    """Error that the image is mirrored. No other search can succeed, so the detection ends."""
 
 
 class PatternSymmetry(NamedTuple):
-    """A pattern with its lattice steps and its symmetries.
+    """A pattern with the steps of its lattice and its symmetries.
 
-    Fields
-    ------
+    Attributes
+    ----------
     pattern : the sheet.
-    steps_mm : (2, 2) displacement on the sheet of one lattice unit along each axis, as columns.
+    steps_mm : (2, 2) displacements on the sheet by one lattice unit along each axis, as columns.
     radius_mm : median radius of the circles.
-    hole_ratio : inner over outer radius of the rings; 0 without rings.
-    turns : (k, 2, 2) integer maps of the lattice that are rotations of the sheet.
-    mirrors : (k, 2, 2) integer maps of the lattice that are reflections of the sheet.
-    symmetries : (s, n) permutations of the circles by rotations that map the sheet onto itself;
-        the identity is first.
+    hole_ratio : inner radius of the rings divided by the outer radius; 0 for a sheet without rings.
+    turns : (k, 2, 2) integer matrices that map the lattice to itself and rotate the sheet.
+    mirrors : (k, 2, 2) integer matrices that map the lattice to itself and reflect the sheet.
+    symmetries : (s, n) permutations of the circles by rotations that map the sheet onto itself; the
+        identity is first.
     is_chiral : True if the sheet differs from its mirror image.
     """
 
@@ -48,12 +48,17 @@ class PatternSymmetry(NamedTuple):
 
     @property
     def pitch_radii(self) -> float:
-        """Mean pitch divided by the radius of the circles."""
+        """Mean distance of neighbouring circle centres divided by the radius of the circles."""
         return float(np.sqrt(abs(np.linalg.det(self.steps_mm)))) / self.radius_mm
 
 
 def pattern_symmetry(pattern: Pattern, tuning: CalibTuning) -> PatternSymmetry:
-    """Compute the lattice steps and symmetries of a pattern.
+    """Compute the lattice steps and the symmetries of a pattern.
+
+    Parameters
+    ----------
+    pattern : the sheet.
+    tuning : tuned constants of calibration.
 
     Raises
     ------
@@ -87,7 +92,10 @@ def pattern_symmetry(pattern: Pattern, tuning: CalibTuning) -> PatternSymmetry:
 def _rigid_maps(
     maps: Int[np.ndarray, "k 2 2"], steps_mm: Float[np.ndarray, "2 2"]
 ) -> Int[np.ndarray, "rigid 2 2"]:
-    """Select the maps of the lattice that are rotations or reflections of the sheet."""
+    """Select the integer matrices that rotate or reflect the sheet without distortion.
+
+    maps : (k, 2, 2) matrices that act on lattice coordinates.
+    """
     on_sheet = steps_mm @ maps @ np.linalg.inv(steps_mm)
     gram = np.swapaxes(on_sheet, 1, 2) @ on_sheet
     return maps[np.all(np.abs(gram - np.eye(2)) < 0.1, axis=(1, 2))]
@@ -96,15 +104,15 @@ def _rigid_maps(
 def _symmetries(
     pattern: Pattern, maps: Int[np.ndarray, "turns 2 2"], tuning: CalibTuning
 ) -> Int[np.ndarray, "k n"]:
-    """Permutations of the circles by those maps of the lattice that map the sheet onto itself.
+    """Permutations of the circles by the lattice maps that map the sheet onto itself.
 
     The identity is first, if `maps` contains it.
     """
     ring_evidence = np.where(pattern.is_ring, 2.0, -2.0)
     index, score = _placements(pattern.lattice, ring_evidence, pattern, maps, tuning)
-    same = index[score > len(pattern) - 0.5]
-    is_identity = np.all(same == np.arange(len(pattern)), axis=1)
-    return same[np.argsort(~is_identity, kind="stable")]
+    symmetries = index[score > len(pattern) - 0.5]
+    is_identity = np.all(symmetries == np.arange(len(pattern)), axis=1)
+    return symmetries[np.argsort(~is_identity, kind="stable")]
 
 
 def _placements(
@@ -114,12 +122,18 @@ def _placements(
     maps: Int[np.ndarray, "turns 2 2"],
     tuning: CalibTuning,
 ) -> tuple[Int[np.ndarray, "k m"], Float[np.ndarray, "k"]]:
-    """All placements of a lattice on the pattern, by the lattice maps and all shifts.
+    """All placements of the detected circles on the pattern, by all lattice maps and shifts.
 
+    Parameters
+    ----------
     cell : (m, 2) lattice coordinates of the detected circles.
     ring_evidence : (m,) log odds that each circle is a ring.
+    maps : (turns, 2, 2) integer matrices that act on lattice coordinates.
 
-    Returns (pattern index of each circle, -1 outside the pattern; log likelihood of the placement).
+    Returns
+    -------
+    (k, m) pattern index of each circle, -1 for a circle outside the pattern; (k,) log likelihood of
+    each placement.
     """
     low, high = pattern.lattice.min(axis=0), pattern.lattice.max(axis=0)
     grid = np.full(high - low + 1, -1)
@@ -149,7 +163,9 @@ def label_circles(
     symmetry: PatternSymmetry,
     tuning: CalibTuning,
 ) -> Int[np.ndarray, "m"]:
-    """Label the circles of a lattice by the only placement that agrees with the rings.
+    """Find the pattern index of each circle of a lattice.
+
+    Only one placement of the lattice on the pattern must agree with the rings.
 
     Parameters
     ----------
@@ -160,8 +176,8 @@ def label_circles(
 
     Returns
     -------
-    (m,) pattern index of each circle, -1 outside the pattern; unique except for the symmetries of
-    the pattern.
+    (m,) pattern indices, -1 for a circle outside the pattern. They are unique except for the
+    symmetries of the pattern.
 
     Raises
     ------
@@ -179,18 +195,18 @@ def label_circles(
         )
         lead = mirrored_score.max() - score.max()
         is_ambiguous |= bool(lead > -margin)
-        wrong = _count_contradicting(
+        contradicting = _count_contradicting(
             mirrored[mirrored_score.argmax()], ring_evidence, pattern, tuning
         )
-        if lead > margin and wrong <= allowed:
+        if lead > margin and contradicting <= allowed:
             raise MirroredError(
                 f"The image shows the sheet {pattern.name!r} mirrored; flip the image left to"
                 " right, or photograph the printed side."
             )
-    wrong = _count_contradicting(index, ring_evidence, pattern, tuning)
-    if wrong > allowed:
+    contradicting = _count_contradicting(index, ring_evidence, pattern, tuning)
+    if contradicting > allowed:
         raise DetectionError(
-            f"The image shows a grid of {len(cell)} circles, but {wrong} of them do not fit"
+            f"The image shows a grid of {len(cell)} circles, but {contradicting} of them do not fit"
             f" the pattern {pattern.name!r}; give the pattern that was printed, or focus the"
             " camera if the image is blurred."
         )
@@ -208,7 +224,11 @@ def _count_contradicting(
     pattern: Pattern,
     tuning: CalibTuning,
 ) -> int:
-    """Number of circles outside the pattern, or clearly a ring instead of a disc or the reverse."""
+    """Number of circles that contradict a placement.
+
+    These are circles outside the pattern, rings at the position of a disc, and discs at the
+    position of a ring.
+    """
     is_ring = np.append(pattern.is_ring, False)[index]
     clear = tuning.detection.clear_log_odds
     misread = np.where(is_ring, ring_evidence < -clear, ring_evidence > clear)

@@ -25,12 +25,15 @@ _MOST_NEIGHBOURS = 12
 
 
 class Lattice(NamedTuple):
-    """Blobs with lattice coordinates that are unique up to a rotation and a shift.
+    """Blobs with their lattice coordinates.
 
-    Fields
-    ------
+    The coordinates are unique up to a rotation and a shift.
+
+    Attributes
+    ----------
     blob : (m,) indices of the blobs.
-    cell : (m, 2) lattice coordinates, with the pattern's handedness unless the image is mirrored.
+    cell : (m, 2) lattice coordinates, with the handedness of the pattern unless the image is
+        mirrored.
     """
 
     blob: Int[np.ndarray, "m"]
@@ -43,7 +46,16 @@ class Lattice(NamedTuple):
 def find_lattices(
     blobs: Blobs, symmetry: PatternSymmetry, tuning: CalibTuning
 ) -> Iterator[Lattice]:
-    """Yield lattices of at least `tuning.detection.fewest_places` blobs; each blob is used once."""
+    """Yield lattices among the blobs of an image.
+
+    A lattice has at least `tuning.detection.fewest_places` blobs. A blob is in one lattice only.
+
+    Parameters
+    ----------
+    blobs : blobs of the image.
+    symmetry : the pattern with the steps of its lattice.
+    tuning : tuned constants of calibration.
+    """
     # Largest number of cells of a lattice along each axis.
     span = int(np.ptp(symmetry.pattern.lattice, axis=0).max()) + 3
     relation = _Neighbours.of(blobs, symmetry, tuning)
@@ -63,15 +75,15 @@ def find_lattices(
 
 
 class _Neighbours(NamedTuple):
-    """Possible neighbours among n blobs.
+    """Pairs of blobs that may be neighbours in a lattice, for n blobs.
 
-    Fields
-    ------
-    is_neighbour : (n, n) mask of the pairs with plausible distance and areas.
-    offset : (n, n, 2) position of the second blob in the frame of the first one, in which the first
-        is the unit circle.
-    degree : (n,) number of possible neighbours.
-    expected : (2,) distances of neighbours along both lattice axes, in radii.
+    Attributes
+    ----------
+    is_neighbour : (n, n) mask of the pairs whose distance and areas are plausible.
+    offset : (n, n, 2) position of the second blob in the frame in which the first blob is the unit
+        circle.
+    degree : (n,) number of possible neighbours of each blob.
+    expected : (2,) distances of neighbours along both lattice axes, in radii of a circle.
     cosine : cosine of the angle between the lattice axes on the sheet.
     """
 
@@ -99,7 +111,10 @@ class _Neighbours(NamedTuple):
         return cls(is_neighbour, offset, is_neighbour.sum(axis=1), step, cosine)
 
     def cells_at(self, start: int, free: np.ndarray) -> Iterator[Lattice]:
-        """Yield cells of the lattice: four blobs with `start` as a corner."""
+        """Yield lattices of four blobs that form one cell with the blob `start` as a corner.
+
+        free : mask of the blobs that are not yet used.
+        """
         neighbours = np.flatnonzero(self.is_neighbour[start] & free)
         # The nearest first: with a wrong radius of the pattern, diagonals could pass as rows.
         offset = self.offset[start, neighbours]
@@ -132,7 +147,11 @@ class _Neighbours(NamedTuple):
         return bool(abs((a @ b) / (length_a * length_b) - self.cosine) < 0.45)
 
     def _opposite(self, start: int, first: int, second: int, free: np.ndarray) -> int | None:
-        """Blob at the fourth corner of the parallelogram; None without one."""
+        """Index of the blob at the corner of the cell opposite to `start`; None without one.
+
+        first, second : blobs at the other two corners.
+        free : mask of the blobs that are not yet used.
+        """
         target = self.offset[start, first] + self.offset[start, second]
         distance = np.linalg.norm(self.offset[start] - target, axis=1)
         distance[~(free & self.is_neighbour[first] & self.is_neighbour[second])] = np.inf
@@ -149,7 +168,14 @@ def _grow(
     span: int,
     tuning: CalibTuning,
 ) -> Lattice:
-    """Extend a cell: add blobs at predicted positions, refit, and repeat until nothing is added."""
+    """Extend a cell to a lattice.
+
+    Blobs at predicted positions are added and the mapping is refitted, until no blob is added.
+
+    corner : lattice of one cell.
+    free : mask of the blobs that are not yet used.
+    span : largest number of circles along each lattice axis.
+    """
     inverse_shape = np.linalg.inv(blobs.shape_px2)
     a11, a12, a22 = (inverse_shape[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
     log_area = 0.5 * np.log(np.linalg.det(blobs.shape_px2))
@@ -173,21 +199,24 @@ def _grow(
         nearest = np.argmin(distance2, axis=1)
         best_cell = np.argmin(distance2, axis=0)
         index = np.arange(len(cells))
-        good = (distance2[index, nearest] < tuning.detection.miss_radii**2) & (
+        is_accepted = (distance2[index, nearest] < tuning.detection.miss_radii**2) & (
             best_cell[nearest] == index
         )
-        grown = Lattice(nearest[good], cells[good])
+        grown = Lattice(nearest[is_accepted], cells[is_accepted])
         if len(grown) < 4 or _is_flat(grown.cell):
             break
-        same = np.array_equal(np.sort(grown.blob), np.sort(lattice.blob))
+        is_unchanged = np.array_equal(np.sort(grown.blob), np.sort(lattice.blob))
         lattice = grown
-        if same or len(lattice) == len(symmetry.pattern):
+        if is_unchanged or len(lattice) == len(symmetry.pattern):
             break
     return lattice
 
 
 def _cells_around(cell: Int[np.ndarray, "m 2"], span: int, reach: int) -> Int[np.ndarray, "k 2"]:
-    """Unoccupied cells within `reach` of `cell`; rows and columns stay within the length `span`."""
+    """Unoccupied lattice positions within `reach` of the occupied positions `cell`.
+
+    The extent of the lattice along each axis stays below `span`.
+    """
     low, high = cell.min(axis=0), cell.max(axis=0)
     shape = high - low + 1 + 2 * reach
     occupied = np.zeros(shape, dtype=np.uint8)
@@ -199,7 +228,7 @@ def _cells_around(cell: Int[np.ndarray, "m 2"], span: int, reach: int) -> Int[np
 
 
 def _is_flat(cell: Int[np.ndarray, "m 2"]) -> bool:
-    """True if all cells lie on one line."""
+    """True if all lattice positions lie on one line."""
     relative = cell - cell.mean(axis=0)
     spread = relative.T @ relative
     return bool(np.linalg.det(spread) < 0.2)

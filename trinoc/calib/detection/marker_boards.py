@@ -39,6 +39,12 @@ def detect_charuco(
 ) -> Detection:
     """Detect the visible corners of a ChArUco board.
 
+    Parameters
+    ----------
+    image : grey or colour image.
+    board : the board.
+    tuning : tuned constants of calibration.
+
     Raises
     ------
     DetectionError : the image shows no such board, or too little of it.
@@ -46,30 +52,36 @@ def detect_charuco(
     search_input = search_image(image)
     grey, fewest = levels_of_8_bit(search_input.grey), tuning.detection.fewest_places
     detector = cv2.aruco.CharucoDetector(opencv_board(board))
-    plain = as_plain_print(grey, inverted=board.inverted, mirrored=board.mirrored)
-    corners, index, marker_corners, numbers = detector.detectBoard(plain)
+    plain = undo_print_options(grey, inverted=board.inverted, mirrored=board.mirrored)
+    corners, index, marker_corners, ids = detector.detectBoard(plain)
     count = 0 if index is None else len(index)
     if corners is None or index is None or count < fewest:
         raise DetectionError(
             f"The image shows {count} corners of the board {board.name!r}, but {fewest} are "
-            f"needed; {_describe_markers(board, numbers)}."
+            f"needed; {_describe_markers(board, ids)}."
         )
-    _check_legacy(board, corners_by_number(marker_corners, numbers))
+    _check_legacy(board, corners_by_id(marker_corners, ids))
     order = np.argsort(np.ravel(index))
     index = np.ravel(index)[order].astype(int)
     corners_px = np.asarray(corners, dtype=np.float64).reshape(-1, 2)[order]
     if board.mirrored:
         corners_px[:, 0] = grey.shape[1] - 1 - corners_px[:, 0]
     # OpenCV 4 shifts corners by half a pixel: refine them, in windows without markers.
-    room = distances_to_next(corners_px) * (1 - board.marker_mm / board.square_mm)
-    fitted = refine_corners(search_input, grey, corners_px, room, tuning)
+    clearance = distances_to_next(corners_px) * (1 - board.marker_mm / board.square_mm)
+    fitted = refine_corners(search_input, grey, corners_px, clearance, tuning)
     return build_detection(index[None], *fitted, search_input.size_px)
 
 
 def detect_april_grid(
     image: Shaped[np.ndarray, "..."], board: AprilGrid, tuning: CalibTuning
 ) -> Detection:
-    """Detect the corners of the visible tags of a board.
+    """Detect the corners of the visible tags of an AprilTag grid.
+
+    Parameters
+    ----------
+    image : grey or colour image.
+    board : the board.
+    tuning : tuned constants of calibration.
 
     Raises
     ------
@@ -80,7 +92,7 @@ def detect_april_grid(
     dictionary = opencv_dictionary(board.dictionary)
     quadrangles = list_quadrangles(grey, dictionary, board.border, tuning)
     corners_of_tag = read_tags(quadrangles, dictionary, board.border, tuning)
-    tags, corners_px = tags_in_place(corners_of_tag, board, tuning)
+    tags, corners_px = select_tags_in_place(corners_of_tag, board, tuning)
     fewest = tuning.detection.fewest_tags
     if len(tags) < fewest:
         raise DetectionError(
@@ -98,15 +110,17 @@ def detect_april_grid(
 
 
 def _check_legacy(board: Charuco, markers: Mapping[int, Float[np.ndarray, "4 2"]]) -> None:
-    """Raise DetectionError if the markers agree better with the opposite value of `legacy`.
+    """Raise `DetectionError` if the markers agree better with the opposite value of `legacy`.
 
-    With an odd number of columns, both layouts differ by a shift of one square, except for some
-    markers at the sides. All corners would be labelled wrongly by one square.
+    `legacy` selects the layout of OpenCV before version 4.6. If the number of columns is odd, the
+    two layouts differ mainly by a shift of one square. All corners would then have wrong labels.
+
+    markers : corners of each marker by its id.
     """
     if board.rows % 2 or board.columns % 2 == 0:
         return
     other = replace(board, legacy=not board.legacy)
-    stated_count, other_count = (count_beside_neighbours(markers, b) for b in (board, other))
+    stated_count, other_count = (count_markers_in_place(markers, b) for b in (board, other))
     if other_count >= stated_count + _MORE_IN_PLACE:
         raise DetectionError(
             f"{other_count} markers of {board.dictionary} are visible where the board "
@@ -115,35 +129,43 @@ def _check_legacy(board: Charuco, markers: Mapping[int, Float[np.ndarray, "4 2"]
         )
 
 
-def corners_by_number(
-    corners: Sequence[np.ndarray], numbers: np.ndarray | None
+def corners_by_id(
+    corners: Sequence[np.ndarray], ids: np.ndarray | None
 ) -> dict[int, Float[np.ndarray, "4 2"]]:
-    """Corners of each marker by its number, from the output of OpenCV's detectors."""
-    if numbers is None:
+    """Corners of each marker by its id, clockwise from the top left.
+
+    Parameters
+    ----------
+    corners, ids : output of OpenCV's marker detectors.
+    """
+    if ids is None:
         return {}
     return {
-        int(number): np.asarray(quadrangle, dtype=np.float64).reshape(4, 2)
-        for number, quadrangle in zip(np.ravel(numbers), corners, strict=True)
+        int(marker_id): np.asarray(quadrangle, dtype=np.float64).reshape(4, 2)
+        for marker_id, quadrangle in zip(np.ravel(ids), corners, strict=True)
     }
 
 
-def count_beside_neighbours(markers: Mapping[int, Float[np.ndarray, "4 2"]], board: Charuco) -> int:
-    """Number of markers that agree with the layout of their neighbours.
+def count_markers_in_place(markers: Mapping[int, Float[np.ndarray, "4 2"]], board: Charuco) -> int:
+    """Number of markers whose positions relative to their neighbours agree with the board.
 
     A marker and its neighbours are approximately an affine image of the board, for every lens.
 
-    markers : corners by number, from `as_plain_print`.
+    Parameters
+    ----------
+    markers : corners of each marker by its id, from an image converted by `undo_print_options`.
+    board : the board.
     """
-    numbers = [number for number in markers if number in board.numbers]
-    if len(numbers) < 2:
+    ids = [marker_id for marker_id in markers if marker_id in board.marker_ids]
+    if len(ids) < 2:
         return 0
     plain = replace(board, mirrored=False)
-    middles_mm = plain.markers_mm[np.array(numbers) - board.first]
-    corners_px = np.stack([markers[number] for number in numbers])
+    middles_mm = plain.markers_mm[np.array(ids) - board.first]
+    corners_px = np.stack([markers[marker_id] for marker_id in ids])
     top_left, top_right, low_right, low_left = np.moveaxis(corners_px, 1, 0)
     along_x = (top_right - top_left + low_right - low_left) / (2 * board.marker_mm)
     along_y = (top_left - low_left + top_right - low_right) / (2 * board.marker_mm)
-    count = min(_NEIGHBOURS, len(numbers) - 1)
+    count = min(_NEIGHBOURS, len(ids) - 1)
     middles_px = corners_px.mean(axis=1)
     neighbours = np.asarray(point_tree(middles_px).query(middles_px, count + 1)[1])[:, 1:]
     step_px, step_mm = (middle[neighbours] - middle[:, None] for middle in (middles_px, middles_mm))
@@ -153,70 +175,78 @@ def count_beside_neighbours(markers: Mapping[int, Float[np.ndarray, "4 2"]], boa
     return int(np.sum(np.median(share, axis=1) < _LARGEST_ERROR))
 
 
-def as_plain_print(
+def undo_print_options(
     grey: UInt8[np.ndarray, "h w"], *, inverted: bool, mirrored: bool
 ) -> UInt8[np.ndarray, "h w"]:
-    """Invert or mirror an image so that the board looks like its plain print."""
+    """Invert or mirror an image, so that an inverted or mirrored board appears normal.
+
+    Parameters
+    ----------
+    grey : the image.
+    inverted, mirrored : print options of the board.
+    """
     upright = 255 - grey if inverted else grey
     return np.ascontiguousarray(upright[:, ::-1]) if mirrored else upright
 
 
-def _describe_markers(board: Charuco, numbers: np.ndarray | None) -> str:
-    """Report on the visible markers, with a remedy, for an image without enough corners."""
-    if numbers is None or not len(numbers):
+def _describe_markers(board: Charuco, ids: np.ndarray | None) -> str:
+    """Return a clause on the visible markers, with a remedy, for an image with too few corners.
+
+    ids : ids of the visible markers.
+    """
+    if ids is None or not len(ids):
         return (
             f"no marker of {board.dictionary} is visible: check the dictionary, the size of the "
             "board and the focus"
         )
-    visible = _visible(np.ravel(numbers).tolist(), "marker", board.dictionary)
+    visible = _visible(np.ravel(ids).tolist(), "marker", board.dictionary)
     return f"{visible}: show more of the board, and check rows, columns and legacy"
 
 
-def _describe_tags(board: AprilGrid, numbers: Collection[int]) -> str:
-    """Report on the visible tags, with a remedy, for an image without enough tags."""
+def _describe_tags(board: AprilGrid, ids: Collection[int]) -> str:
+    """Return a clause on the visible tags, with a remedy, for an image with too few tags.
+
+    ids : ids of the visible tags.
+    """
     family = f"{board.dictionary} with a border of {board.border}"
-    if not numbers:
+    if not ids:
         return (
             f"no tag of {family} is visible: check the dictionary, the border, the size of the "
             "board and the focus"
         )
     return (
-        f"{_visible(numbers, 'tag', family)}: show more of the board, and check rows, columns "
-        "and first"
+        f"{_visible(ids, 'tag', family)}: show more of the board, and check rows, columns and first"
     )
 
 
-def _visible(numbers: Collection[int], thing: str, family: str) -> str:
-    if len(numbers) == 1:
-        return f"1 {thing} of {family} is visible, number {min(numbers)}"
-    return (
-        f"{len(numbers)} {thing}s of {family} are visible, numbered {min(numbers)} to "
-        f"{max(numbers)}"
-    )
+def _visible(ids: Collection[int], thing: str, family: str) -> str:
+    if len(ids) == 1:
+        return f"1 {thing} of {family} is visible, number {min(ids)}"
+    return f"{len(ids)} {thing}s of {family} are visible, numbered {min(ids)} to {max(ids)}"
 
 
-def tags_in_place(
+def select_tags_in_place(
     corners_of_tag: Mapping[int, Float[np.ndarray, "4 2"]], board: AprilGrid, tuning: CalibTuning
 ) -> tuple[Int[np.ndarray, "t"], Float[np.ndarray, "t 4 2"]]:
-    """Select the tags that agree with the layout of the board.
+    """Select the tags whose positions agree with the layout of the board.
 
-    Some programs print all tags of a board turned by quarter turns. The turn with the smallest
+    Some programs print all tags of a board rotated by quarter turns. The rotation with the smallest
     median error is used.
 
     Parameters
     ----------
-    corners_of_tag : corners by the number of the tag, see `read_tags`.
+    corners_of_tag : corners of each tag by its id, from `read_tags`.
     board : the expected board.
     tuning : tuned constants of calibration.
 
     Returns
     -------
-    (t,) indices of the tags on the board, and (t, 4, 2) their corners in the board's order.
+    (t,) indices of the tags on the board, and (t, 4, 2) their corners in the order of the board.
     """
-    tags = np.array([k for k in sorted(corners_of_tag) if k in board.numbers], dtype=int)
+    tags = np.array([k for k in sorted(corners_of_tag) if k in board.marker_ids], dtype=int)
     if len(tags) < tuning.detection.fewest_tags:
         return np.zeros(0, dtype=int), np.zeros((0, 4, 2))
-    corners_px = np.stack([corners_of_tag[number] for number in tags])
+    corners_px = np.stack([corners_of_tag[marker_id] for marker_id in tags])
     tags = tags - board.first
     corners_mm = board.centres_mm.reshape(-1, 4, 2)[tags]
     # OpenCV orders corners clockwise in the image, the board counter-clockwise.
@@ -247,7 +277,7 @@ def _refine_tags(
     spacing: float,
     tuning: CalibTuning,
 ) -> tuple[FittedCorners, Bool[np.ndarray, "n"]]:
-    """Refined corners of all tags, and the mask of those that are saddle points of the image.
+    """Refined corners of all tags, and the mask of the corners that are saddle points.
 
     spacing : gap between two tags divided by the side of a tag.
     """
@@ -266,11 +296,12 @@ def _is_saddle(
     spacing: float,
     tuning: CalibTuning,
 ) -> Bool[np.ndarray, "n"]:
-    """Mask of the corners with the right levels in their four fields.
+    """Mask of the corners with plausible grey levels in the four quadrants around them.
 
-    The tag and the opposite square must be equally dark, and both gaps equally light.
+    The tag and the opposite square must be equally dark, and the gaps between tags equally light.
 
     corners_px, refined_px : corners before and after refinement.
+    spacing : gap between two tags divided by the side of a tag.
     """
     reach = tuning.detection.field_share * spacing
     one = reach * (np.roll(corners_px, -1, axis=1) - corners_px).reshape(-1, 2)
@@ -286,13 +317,13 @@ def _is_saddle(
 
 
 class Quadrangle(NamedTuple):
-    """A quadrangle of an image that may be a tag.
+    """A dark quadrangle of an image, which may be a tag.
 
-    Fields
-    ------
+    Attributes
+    ----------
     grey : the image, enlarged by `scale`.
     scale : factor of the enlargement.
-    corners_px : (4, 2) corners in `grey`.
+    corners_px : (4, 2) corners in the enlarged image.
     """
 
     grey: UInt8[np.ndarray, "h w"]
@@ -301,7 +332,7 @@ class Quadrangle(NamedTuple):
 
     @property
     def side_px(self) -> float:
-        """Mean side in pixels of the original image."""
+        """Mean side of the quadrangle, in pixels of the original image."""
         sides = self.corners_px - np.roll(self.corners_px, 1, axis=0)
         return float(np.linalg.norm(sides, axis=1).mean()) / self.scale
 
@@ -312,12 +343,22 @@ def list_quadrangles(
     border: int,
     tuning: CalibTuning,
 ) -> list[Quadrangle]:
-    """Quadrangles that may be tags; nearly independent of the dictionary and the border.
+    """List the dark quadrangles that may be tags.
 
-    The tags touch the squares between them, and OpenCV merges touching shapes. The light regions
-    are therefore dilated before the search. The numbers are later read from the original image. In
-    the dilated image, half the tags of blurred images and nearly all tags 40 px wide are
-    unreadable.
+    The result hardly depends on the dictionary and the border.
+
+    Parameters
+    ----------
+    grey : grey levels of the image.
+    dictionary : OpenCV's dictionary of the tags.
+    border : width of the black border of a tag, in cells.
+    tuning : tuned constants of calibration.
+
+    Notes
+    -----
+    The tags touch the squares between them, and OpenCV merges shapes that touch. The light regions
+    are therefore dilated before the search. The ids are later read from the original image, because
+    the dilation makes small and blurred tags unreadable.
     """
     quadrangles = []
     for scale, dilation_px in tuning.detection.tag_scales:
@@ -335,10 +376,21 @@ def read_tags(
     border: int,
     tuning: CalibTuning,
 ) -> dict[int, Float[np.ndarray, "4 2"]]:
-    """Read the numbers of tags: corners of each tag by its number, accurate to some px.
+    """Read the ids of tags.
 
-    The corners start at the top left of the tag and go clockwise in the image. A number at two
-    positions is excluded, because one of them belongs to another board.
+    An id at two positions is excluded, because one of them belongs to another board.
+
+    Parameters
+    ----------
+    quadrangles : quadrangles that may be tags.
+    dictionary : OpenCV's dictionary of the tags.
+    border : width of the black border of a tag, in cells.
+    tuning : tuned constants of calibration.
+
+    Returns
+    -------
+    Corners of each tag by its id, (4, 2) px, accurate to some pixels. They start at the top left of
+    the tag and go clockwise in the image.
     """
     tags: dict[int, Float[np.ndarray, "4 2"]] = {}
     duplicates = set()
@@ -346,20 +398,25 @@ def read_tags(
         tag = _read_tag(large, corners, dictionary, border, tuning)
         if tag is None:
             continue
-        number, turn = tag
+        marker_id, turn = tag
         # The origin is the centre of the first pixel at both sizes.
         corners_px = (np.roll(corners, turn, axis=0) + 0.5) / scale - 0.5
-        previous = tags.setdefault(number, corners_px)
+        previous = tags.setdefault(marker_id, corners_px)
         side = float(np.linalg.norm(np.diff(previous, axis=0), axis=1).min())
         if np.linalg.norm(previous.mean(axis=0) - corners_px.mean(axis=0)) > 0.5 * side:
-            duplicates.add(number)
-    return {number: corners for number, corners in tags.items() if number not in duplicates}
+            duplicates.add(marker_id)
+    return {
+        marker_id: corners for marker_id, corners in tags.items() if marker_id not in duplicates
+    }
 
 
 def _find_quadrangles(
     grey: UInt8[np.ndarray, "h w"], dictionary: cv2.aruco.Dictionary, border: int, dilation_px: int
 ) -> list[Float[np.ndarray, "4 2"]]:
-    """Corners of dark quadrangles, corrected for the dilation of light by `dilation_px`."""
+    """Corners of dark quadrangles, after dilation of the light regions by `dilation_px`.
+
+    The corners are corrected for the dilation.
+    """
     options = cv2.aruco.DetectorParameters()
     options.markerBorderBits = border
     dilated = cv2.dilate(grey, np.ones((dilation_px, dilation_px), np.uint8))
@@ -380,7 +437,7 @@ def _read_tag(
     border: int,
     tuning: CalibTuning,
 ) -> tuple[int, int] | None:
-    """Read one tag: (number, quarter turns of the corners), or None if it is no tag."""
+    """Id of a tag and number of quarter turns of its corners; None if the quadrangle is no tag."""
     cells = dictionary.markerSize + 2 * border
     side = cells * _CELL_PX
     square = side * np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32) - 0.5
@@ -394,5 +451,5 @@ def _read_tag(
     if bits.sum() - code.sum() > tuning.detection.most_wrong * (bits.size - code.size):
         return None
     correctable = cv2.aruco.DetectorParameters().errorCorrectionRate
-    is_one, number, turn = dictionary.identify(code.astype(np.uint8), correctable)
-    return (int(number), int(turn)) if is_one else None
+    is_marker, marker_id, turn = dictionary.identify(code.astype(np.uint8), correctable)
+    return (int(marker_id), int(turn)) if is_marker else None

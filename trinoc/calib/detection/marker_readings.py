@@ -1,6 +1,6 @@
 """Diagnosis of a wrong layout: the board with markers that an image shows instead.
 
-Markers have numbers. An image without the stated board can therefore show which board it contains.
+Markers have ids. An image without the stated board can therefore show which board it contains.
 The most likely mistakes are tried in this order: layout of the other OpenCV version, rows and
 columns exchanged, inverted print, mirrored print, two of these together, another first marker,
 another dictionary. A layout is reported only if its markers are in place and its corners are
@@ -19,17 +19,17 @@ from jaxtyping import Float, Shaped, UInt8
 
 from trinoc.calib.detection.corners import levels_of_8_bit
 from trinoc.calib.detection.marker_boards import (
-    as_plain_print,
-    corners_by_number,
-    count_beside_neighbours,
+    corners_by_id,
+    count_markers_in_place,
     detect_april_grid,
     detect_charuco,
     list_quadrangles,
     read_tags,
-    tags_in_place,
+    select_tags_in_place,
+    undo_print_options,
 )
 from trinoc.calib.detection.search_image import search_image
-from trinoc.calib.detection.usable_points import keep_usable
+from trinoc.calib.detection.usable_points import remove_unusable
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.board_set import list_boards
@@ -50,21 +50,21 @@ _MOST_QUADRANGLES = 60
 MOST_IMAGES = 4
 
 _MarkerBoard = Charuco | AprilGrid
-# Corners of each marker by its number, from its top left clockwise.
+# Corners of each marker by its id, from its top left clockwise.
 _Markers = Mapping[int, Float[np.ndarray, "4 2"]]
 
 
 class MarkerReading(NamedTuple):
-    """Board that an image shows instead of the stated one.
+    """A board in an image whose layout differs from the stated board, with the differences.
 
-    Fields
-    ------
+    Attributes
+    ----------
     board : layout of the visible board.
     changes : differences from the stated layout, such as "legacy=yes".
     count : number of visible markers that agree with this layout.
-    is_in_mirror : True if the visible board is the mirror image of the stated one.
-    is_same_sheet : True if the markers are those of the stated board, so that the layout may be a
-        wrong description of the same sheet.
+    is_in_mirror : True if the visible board is the mirror image of the stated board.
+    is_same_sheet : True if the markers are those of the stated board. The stated layout may then be
+        a wrong description of the same sheet.
     """
 
     board: _MarkerBoard
@@ -75,7 +75,7 @@ class MarkerReading(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Message on the visible board and the remedy."""
+        """Message that describes the visible board, with a remedy."""
         things = "tags" if isinstance(self.board, AprilGrid) else "markers"
         what = f"{self.count} {things} of {self.board.dictionary} are visible"
         fit = f"the board {self.board.name!r} fits with {' and '.join(self.changes)}"
@@ -97,10 +97,10 @@ class MarkerReading(NamedTuple):
 
 
 class ReadingSearch:
-    """Search for wrongly stated layouts in the images of a recording.
+    """Search for wrongly stated board layouts in the images of a recording.
 
     All layouts are tried in a few images of each camera. Later images are tested only with the
-    layouts that fitted an earlier one.
+    layouts that agreed with an earlier image.
 
     Parameters
     ----------
@@ -128,7 +128,17 @@ class ReadingSearch:
         return not self._boards or (is_exhausted and not self._readings)
 
     def find(self, image: Shaped[np.ndarray, "..."], camera: str = "") -> MarkerReading | None:
-        """Board that an image shows instead of a stated one; None without one."""
+        """Find the layout of a visible board that was not detected with its stated layout.
+
+        Parameters
+        ----------
+        image : image without a detected board.
+        camera : name of the camera.
+
+        Returns
+        -------
+        Board with its true layout; None if no layout agrees with the image.
+        """
         for reading in self._readings:
             count = _count_markers(image, reading, self._tuning)
             if count:
@@ -147,9 +157,19 @@ class ReadingSearch:
 def find_marker_reading(
     image: Shaped[np.ndarray, "..."], board: _MarkerBoard, tuning: CalibTuning
 ) -> MarkerReading | None:
-    """Layout that an image shows instead of `board`, which was not detected; None without one.
+    """Find the layout of a visible board that was not detected with its stated layout.
 
-    Searches the image for markers about ten times.
+    The function searches the image for markers about ten times.
+
+    Parameters
+    ----------
+    image : image in which `board` was not detected.
+    board : the stated board.
+    tuning : tuned constants of calibration.
+
+    Returns
+    -------
+    Board with its true layout; None if no layout agrees with the image.
     """
     grey = levels_of_8_bit(search_image(image).grey)
     readings = (
@@ -163,14 +183,16 @@ def find_marker_reading(
 def _count_markers(
     image: Shaped[np.ndarray, "..."], reading: MarkerReading, tuning: CalibTuning
 ) -> int:
-    """Number of markers of a layout that are in place in an image; 0 if they are too few."""
+    """Number of markers in an image that agree with a layout; 0 if they are too few."""
     grey, board = levels_of_8_bit(search_image(image).grey), reading.board
     dictionary = opencv_dictionary(board.dictionary)
     if isinstance(board, Charuco):
-        return _count_in_place(_find_markers(grey, board, dictionary), board, tuning)
-    plain = as_plain_print(grey, inverted=False, mirrored=reading.is_in_mirror)
+        return _count_consistent_markers(_find_markers(grey, board, dictionary), board, tuning)
+    plain = undo_print_options(grey, inverted=False, mirrored=reading.is_in_mirror)
     quadrangles = list_quadrangles(plain, dictionary, board.border, tuning)
-    return _count_in_place(read_tags(quadrangles, dictionary, board.border, tuning), board, tuning)
+    return _count_consistent_markers(
+        read_tags(quadrangles, dictionary, board.border, tuning), board, tuning
+    )
 
 
 def _shows_corners(
@@ -180,10 +202,10 @@ def _shows_corners(
     board, image = reading.board, np.asarray(image)
     try:
         if isinstance(board, Charuco):
-            keep_usable(detect_charuco(image, board, tuning), board, tuning)
+            remove_unusable(detect_charuco(image, board, tuning), board, tuning)
         else:
             upright = np.ascontiguousarray(image[:, ::-1]) if reading.is_in_mirror else image
-            keep_usable(detect_april_grid(upright, board, tuning), board, tuning)
+            remove_unusable(detect_april_grid(upright, board, tuning), board, tuning)
     except DetectionError:
         return False
     return True
@@ -192,7 +214,10 @@ def _shows_corners(
 def _read_charuco(
     grey: UInt8[np.ndarray, "h w"], stated: Charuco, tuning: CalibTuning
 ) -> Iterator[MarkerReading]:
-    """Yield other layouts in which markers are in place, the most likely first."""
+    """Yield other layouts that agree with the markers of an image, the most likely layout first.
+
+    stated : the stated board.
+    """
     dictionary, stated_markers = opencv_dictionary(stated.dictionary), {}
     for prints in ((), ("inverted",), ("mirrored",), ("inverted", "mirrored")):
         variant = replace(stated, **{field: not getattr(stated, field) for field in prints})
@@ -226,26 +251,29 @@ def _read_charuco(
 def _read_april_grid(
     grey: UInt8[np.ndarray, "h w"], stated: AprilGrid, tuning: CalibTuning
 ) -> Iterator[MarkerReading]:
-    """Yield other layouts in which tags are in place, the most likely first."""
+    """Yield other layouts that agree with the tags of an image, the most likely layout first.
+
+    stated : the stated board.
+    """
     dictionary = opencv_dictionary(stated.dictionary)
     quadrangles = list_quadrangles(grey, dictionary, stated.border, tuning)
     tags = read_tags(quadrangles, dictionary, stated.border, tuning)
-    stated_count, others = _count_in_place(tags, stated, tuning), []
+    stated_count, others = _count_consistent_markers(tags, stated, tuning), []
     exchanged = replace(stated, rows=stated.columns, columns=stated.rows)
-    if count := _count_in_place(tags, exchanged, tuning):
+    if count := _count_consistent_markers(tags, exchanged, tuning):
         others.append(MarkerReading(exchanged, (_describe(exchanged, "exchanged"),), count))
     others += _read_other_first(tags, stated, tuning)
     yield from (other for other in others if other.count > stated_count)
     if stated_count:
         return
-    flipped = as_plain_print(grey, inverted=False, mirrored=True)
+    flipped = undo_print_options(grey, inverted=False, mirrored=True)
     flipped_quadrangles = list_quadrangles(flipped, dictionary, stated.border, tuning)
     flipped_tags = read_tags(flipped_quadrangles, dictionary, stated.border, tuning)
-    if count := _count_in_place(flipped_tags, stated, tuning):
+    if count := _count_consistent_markers(flipped_tags, stated, tuning):
         yield MarkerReading(stated, (), count, is_in_mirror=True)
     by_size = sorted(quadrangles, key=lambda quadrangle: quadrangle.side_px)
     largest = by_size[-_MOST_QUADRANGLES:]
-    fewest = min(_FEWEST_IN_PLACE, len(stated.numbers))
+    fewest = min(_FEWEST_IN_PLACE, len(stated.marker_ids))
     for border in (stated.border, 3 - stated.border):
         other = replace(stated, border=border)
         for name in list_largest_dictionaries():
@@ -254,7 +282,7 @@ def _read_april_grid(
                 continue
             tags = read_tags(quadrangles, dictionary, border, tuning)
             if border != stated.border and name == stated.dictionary:
-                if count := _count_in_place(tags, other, tuning):
+                if count := _count_consistent_markers(tags, other, tuning):
                     yield MarkerReading(other, (f"border={border}",), count)
             elif name != stated.dictionary:
                 for reading in _read_other_dictionary(tags, other, name, tuning):
@@ -267,14 +295,14 @@ def _read_april_grid(
 def _read_other_dictionary(
     markers: _Markers, stated: _MarkerBoard, name: str, tuning: CalibTuning
 ) -> Iterator[MarkerReading]:
-    """Yield the board with another dictionary, and with other marker numbers if necessary.
+    """Yield the stated board with another dictionary, and with other marker ids if necessary.
 
-    name : a dictionary of the markers' family, large enough for all of them.
+    name : a dictionary that contains all visible markers.
     """
-    changes, board, count = (), stated, _count_in_place(markers, stated, tuning)
+    changes, board, count = (), stated, _count_consistent_markers(markers, stated, tuning)
     if isinstance(stated, Charuco):
         changes, board, count = _best_layout(markers, stated, tuning, most_changes=1)
-    smallest = smallest_dictionary(name, stated.numbers[-1], like=stated.dictionary)
+    smallest = smallest_dictionary(name, stated.marker_ids[-1], like=stated.dictionary)
     if count and smallest is not None and smallest != stated.dictionary:
         board = replace(board, dictionary=smallest)
         yield MarkerReading(board, (f"dictionary={smallest}", *changes), count)
@@ -285,22 +313,25 @@ def _read_other_dictionary(
 def _read_other_first(
     markers: _Markers, stated: _MarkerBoard, tuning: CalibTuning, name: str | None = None
 ) -> Iterator[MarkerReading]:
-    """Yield the board with another first marker, if one number fits more markers than all others.
+    """Yield the stated board with another id of its first marker.
 
-    name : dictionary of the markers, or a larger one of its family; the stated one if None.
+    The id must agree with more markers than every other id.
+
+    name : dictionary of the markers, or a larger dictionary of the same family; the stated
+        dictionary if None.
     """
     if len(markers) < _FEWEST_IN_PLACE:
         return
-    size, numbers = len(stated.numbers), np.array(list(markers))
+    size, ids = len(stated.marker_ids), np.array(list(markers))
     # Some markers may belong to another sheet: they must not restrict the search.
     firsts = [
         first
-        for first in range(max(int(numbers.min()) - size + 1, 0), int(numbers.max()) + 1)
+        for first in range(max(int(ids.min()) - size + 1, 0), int(ids.max()) + 1)
         if first != stated.first
-        and np.sum((numbers >= first) & (numbers < first + size)) >= _FEWEST_IN_PLACE
+        and np.sum((ids >= first) & (ids < first + size)) >= _FEWEST_IN_PLACE
     ]
     counts = [
-        _count_in_place(_renumber(markers, stated.first - first), stated, tuning)
+        _count_consistent_markers(_renumber(markers, stated.first - first), stated, tuning)
         for first in firsts
     ]
     best = max(counts, default=0)
@@ -317,25 +348,30 @@ def _read_other_first(
 
 
 def _renumber(markers: _Markers, step: int) -> _Markers:
-    return {number + step: corners for number, corners in markers.items()}
+    return {marker_id + step: corners for marker_id, corners in markers.items()}
 
 
 def _best_layout(
     markers: _Markers, board: Charuco, tuning: CalibTuning, *, most_changes: int
 ) -> tuple[tuple[str, ...], Charuco, int]:
-    """Layout with the most markers in place: (changes, board, number of markers in place).
+    """Find the layout that agrees with the most markers.
 
-    Tries the other value of `legacy` and exchanged rows and columns. Fewer changes are preferred.
+    The other value of `legacy` and exchanged rows and columns are tried. With equal numbers of
+    markers, the layout with fewer changes is preferred.
+
+    Returns
+    -------
+    Changes, board, and number of markers that agree with this layout.
     """
-    changes, layout, count = (), board, _count_in_place(markers, board, tuning)
-    for number in range(1, most_changes + 1):
-        for changed in combinations(("legacy", "exchanged"), number):
+    changes, layout, count = (), board, _count_consistent_markers(markers, board, tuning)
+    for change_count in range(1, most_changes + 1):
+        for changed in combinations(("legacy", "exchanged"), change_count):
             other = board
             if "exchanged" in changed:
                 other = replace(other, rows=board.columns, columns=board.rows)
             if "legacy" in changed:
                 other = replace(other, legacy=not board.legacy)
-            other_count = _count_in_place(markers, other, tuning)
+            other_count = _count_consistent_markers(markers, other, tuning)
             if other_count > count:
                 layout, count = other, other_count
                 changes = tuple(_describe(other, change) for change in changed)
@@ -351,19 +387,19 @@ def _describe(board: _MarkerBoard, changed: str) -> str:
 def _find_markers(
     grey: UInt8[np.ndarray, "h w"], board: Charuco, dictionary: cv2.aruco.Dictionary
 ) -> dict[int, Float[np.ndarray, "4 2"]]:
-    """Detect markers in the image converted by `as_plain_print`."""
-    plain = as_plain_print(grey, inverted=board.inverted, mirrored=board.mirrored)
-    corners, numbers, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(plain)
-    return corners_by_number(corners, numbers)
+    """Corners of each visible marker by its id, after the print options of the board are undone."""
+    plain = undo_print_options(grey, inverted=board.inverted, mirrored=board.mirrored)
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(plain)
+    return corners_by_id(corners, ids)
 
 
-def _count_in_place(markers: _Markers, board: _MarkerBoard, tuning: CalibTuning) -> int:
+def _count_consistent_markers(markers: _Markers, board: _MarkerBoard, tuning: CalibTuning) -> int:
     """Number of markers that agree with a layout; 0 if they are too few.
 
-    Markers of a ChArUco board must come from `_find_markers`.
+    markers : for a ChArUco board, markers from `_find_markers`.
     """
     if isinstance(board, AprilGrid):
-        count = len(tags_in_place(markers, board, tuning)[0])
+        count = len(select_tags_in_place(markers, board, tuning)[0])
     else:
-        count = count_beside_neighbours(markers, board)
-    return count if count >= min(_FEWEST_IN_PLACE, len(board.numbers)) else 0
+        count = count_markers_in_place(markers, board)
+    return count if count >= min(_FEWEST_IN_PLACE, len(board.marker_ids)) else 0

@@ -39,13 +39,13 @@ def fit_coarsely(
     hole_ratio: float,
     tuning: CalibTuning,
 ) -> Ellipses:
-    """Fit ellipses coarsely to a sample of each circle's pixels; also estimate their holes.
+    """Fit ellipses to a sample of the pixels of each circle, and estimate their holes.
 
     Parameters
     ----------
     image : grey image with its noise.
-    centres_px, shape_px2 : (n, 2), (n, 2, 2) approximate ellipses.
-    hole_ratio : inner over outer radius of rings; 0 for a sheet without rings.
+    centres_px, shape_px2 : (n, 2), (n, 2, 2) approximate centres and shape matrices.
+    hole_ratio : inner radius of the rings divided by the outer radius; 0 for a sheet without rings.
     tuning : tuned constants of calibration.
     """
     count, outer = len(centres_px), tuning.detection.outer_radii
@@ -83,13 +83,13 @@ def measure_circles(
     symmetry: PatternSymmetry,
     tuning: CalibTuning,
 ) -> tuple[Ellipses, Int[np.ndarray, "k"], PlaneMapping]:
-    """Locate the circles that the blob search missed, then measure all circles together.
+    """Locate the circles that the blob search missed, then measure all circles precisely.
 
     Parameters
     ----------
     image : grey image with its noise.
     coarse : (m,) coarse ellipses of the labelled circles.
-    index : (m,) pattern index of each of them.
+    index : (m,) pattern index of each labelled circle.
     symmetry : the pattern with its lattice.
     tuning : tuned constants of calibration.
 
@@ -107,19 +107,19 @@ def measure_circles(
     missing, centre, shape = missing[inside], centre[inside], shape[inside]
     if len(missing):
         extra = fit_coarsely(image, centre, shape, symmetry.hole_ratio, tuning)
-        good = are_plausible(extra, centre, shape, image.noise_sigma)
-        good &= np.abs(extra.hole - pattern.is_ring[missing]) < 0.5
+        is_accepted = are_plausible(extra, centre, shape, image.noise_sigma)
+        is_accepted &= np.abs(extra.hole - pattern.is_ring[missing]) < 0.5
         contrast = (extra.paper * extra.ink) / quick_median(coarse.paper * coarse.ink)
-        good &= (contrast > 0.35) & (contrast < 3.0)
-        coarse = coarse.concatenate(extra.take(good))
-        index = np.concatenate([index, missing[good]])
+        is_accepted &= (contrast > 0.35) & (contrast < 3.0)
+        coarse = coarse.concatenate(extra.take(is_accepted))
+        index = np.concatenate([index, missing[is_accepted]])
     fine = _fit_finely(image, coarse, index, symmetry, mapping, tuning)
     centre, shape = mapping.ellipses(pattern.centres_mm[index], pattern.radius_mm[index])
-    good = are_plausible(fine, centre, shape, image.noise_sigma)
-    good &= are_undisturbed(fine, image.noise_sigma)
+    is_accepted = are_plausible(fine, centre, shape, image.noise_sigma)
+    is_accepted &= are_undisturbed(fine, image.noise_sigma)
     is_in_place, mapping = select_agreeing(fine, index, pattern, tuning)
-    good &= is_in_place
-    return fine.take(good), index[good], mapping
+    is_accepted &= is_in_place
+    return fine.take(is_accepted), index[is_accepted], mapping
 
 
 def _are_inside(
@@ -144,9 +144,10 @@ def _fit_finely(
     mapping: PlaneMapping,
     tuning: CalibTuning,
 ) -> Ellipses:
-    """Fit ellipses to all pixels of a band around the outer edge.
+    """Fit ellipses to all pixels in a band around the outer edge of each circle.
 
-    One Gauss-Newton step suffices for most circles. Circles that move too far are fitted again.
+    For most circles, one Gauss-Newton step is sufficient. A circle whose ellipse changes too much
+    is fitted again.
     """
     pattern = symmetry.pattern
     clear = are_clear_of_lines(pattern, index, tuning)
@@ -195,9 +196,9 @@ def _fit_finely(
 
 
 def _has_moved(before: Ellipses, after: Ellipses) -> np.ndarray:
-    """Mask of the circles whose remaining error after a step exceeds their sigma.
+    """Mask of the circles whose remaining error after a Gauss-Newton step exceeds their sigma.
 
-    A step of length s over an edge of blur b leaves an error of about s^2 / b.
+    A step of length s at an edge with the blur b leaves an error of about s^2 / b.
     """
     centre = np.abs(after.centres_px - before.centres_px).max(axis=1)
     axes = [np.sqrt(ellipses.shape_px2[:, [0, 1], [0, 1]]) for ellipses in (before, after)]
@@ -213,23 +214,24 @@ def light_slope(
     clear: Bool[np.ndarray, "n"],
     tuning: CalibTuning,
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
-    """Estimate the slope of the light at each circle from the paper's grey around all circles.
+    """Estimate the slope of the light at each circle.
 
-    A quadratic surface through the grey levels around all circles is more precise than the pixels
-    of one circle. Its error is independent of the circle's centre. Near a shadow the levels
-    deviate from the surface: the sigma of the slope is their deviation over one pitch.
+    A quadratic surface through the grey levels of the paper around all circles is more precise than
+    the pixels of one circle. Its error is independent of the error of the circle's centre. Near a
+    shadow, the levels deviate from the surface. The sigma of the slope is this deviation divided by
+    the distance of neighbouring circles.
 
     Parameters
     ----------
     centres_px : (n, 2) centres of the circles.
     paper : (n,) grey level of the paper around each circle.
-    clear : (n,) mask of the circles whose paper is not darkened by a crossed line. The others are
-        used only if there are too few of these.
+    clear : (n,) mask of the circles whose paper is not darkened by a crossed line. Other circles
+        are used only if too few are in the mask.
     tuning : tuned constants of calibration.
 
     Returns
     -------
-    (n, 2) relative change of the light per pixel, and (n,) its standard deviation.
+    (n, 2) relative change of the light per pixel along x and y, and (n,) its standard deviation.
     """
     count, fewest = len(paper), tuning.detection.fewest_places
     if count < fewest:

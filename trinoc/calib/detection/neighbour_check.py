@@ -18,14 +18,14 @@ _NEIGHBOURS, _FEWEST_FOR_CURVATURE, _FEWEST = 12, 9, 5
 
 
 class NeighbourPrediction(NamedTuple):
-    """Positions of n corners predicted by their neighbours.
+    """Positions of n corners, each predicted from its neighbours.
 
-    Fields
-    ------
+    Attributes
+    ----------
     px : (n, 2) predicted positions.
-    spacing_px : (n,) image of the distance to the nearest neighbour on the board.
-    gain : (n,) standard deviation of predicted minus observed, if all corners have a standard
-        deviation of 1; larger at the edge of the board.
+    spacing_px : (n,) distance to the nearest neighbour on the board, as it appears in the image.
+    gain : (n,) standard deviation of predicted minus observed position, if all corners have a
+        standard deviation of 1. It is larger at the edge of the board.
     """
 
     px: Float[np.ndarray, "n 2"]
@@ -36,7 +36,7 @@ class NeighbourPrediction(NamedTuple):
 def predict_from_neighbours(
     board_mm: Float[np.ndarray, "n 2"], corners_px: Float[np.ndarray, "n 2"]
 ) -> NeighbourPrediction:
-    """Predict each corner from its neighbours, without the corner itself.
+    """Predict the image position of each corner from its neighbours, without the corner itself.
 
     Parameters
     ----------
@@ -71,15 +71,15 @@ def are_in_place(
     largest_share: float,
     tuning: CalibTuning,
 ) -> Bool[np.ndarray, "n"]:
-    """Mask of the corners that agree with the prediction of their neighbours.
+    """Mask of the corners that agree with the prediction from their neighbours.
 
-    The worst corner is removed and the test repeated until the rest agree, because a false corner
-    spoils the prediction of its neighbours. Fewer than 7 corners are not tested.
+    A false corner disturbs the prediction of its neighbours. Therefore the worst corner is removed
+    and the test repeated, until all remaining corners agree. Fewer than 7 corners are not tested.
 
     Parameters
     ----------
     board_mm, corners_px : (n, 2) positions on the board and in the image.
-    largest_share : largest error as a share of the distance to the next corner.
+    largest_share : largest error, as a share of the distance to the nearest corner.
     tuning : tuned constants of calibration.
     """
     in_place = np.ones(len(board_mm), dtype=bool)

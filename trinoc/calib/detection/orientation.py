@@ -32,15 +32,15 @@ def resolve_orientation(
     *,
     tuning: CalibTuning = TUNING,
 ) -> tuple[dict[str, Detection], dict[str, str]]:
-    """Choose one labelling for each detection.
+    """Select one labelling for each detection of a rotationally symmetric sheet.
 
     Parameters
     ----------
     detections : detections by the name of the camera.
     pattern : the sheet.
-    orientation : rule of the choice. "upright": the labelling whose X axis points most to the right
-        in the image. An earlier rig: the labelling that fits the pose of the same camera best.
-        None: no choice.
+    orientation : rule of the selection. "upright": the labelling whose X axis points most to the
+        right in the image. A rig from an earlier calibration: the labelling that agrees best with
+        its camera of the same name. None: no selection.
     tuning : tuned constants of calibration.
 
     Returns
@@ -72,7 +72,10 @@ def _choose_labelling(
     name: str,
     tuning: CalibTuning,
 ) -> Int[np.ndarray, "m"] | str:
-    """Chosen labelling, or a message if the labelling is ambiguous."""
+    """Point indices of the selected labelling, or a message if the labelling is ambiguous.
+
+    name : name of the camera.
+    """
     if detection.ambiguity is None or orientation == "upright":
         return detection.circle_index
     choices = detection.labellings
@@ -98,7 +101,10 @@ def _choose_labelling(
 def _error_px(
     camera: Camera, detection: Detection, pattern: Pattern, index: Int[np.ndarray, "m"]
 ) -> float:
-    """Median distance of the circles from their predicted positions, for one labelling."""
+    """Median distance of the circles from their positions predicted by an earlier camera.
+
+    index : (m,) pattern index of each circle in one labelling.
+    """
     predicted = _centres_px(camera, pattern.centres_mm[index], pattern.radius_mm[index])
     error_px = np.linalg.norm(np.asarray(predicted) - detection.centres_px, axis=1)
     return float(np.median(np.where(np.isfinite(error_px), error_px, np.inf)))
@@ -114,7 +120,10 @@ def _centres_px(
 def _with_labelling(
     detection: Detection, pattern: Pattern, index: Int[np.ndarray, "m"]
 ) -> Detection:
-    """Detection with one labelling. A quarter turn exchanges the crossed lines."""
+    """Copy of a detection with a single labelling.
+
+    Its crossed lines are exchanged if the labelling is rotated by a quarter turn.
+    """
     first, second = (
         pattern.centres_mm[labelling] - pattern.centres_mm[labelling].mean(axis=0)
         for labelling in (detection.circle_index, index)

@@ -13,32 +13,36 @@ from trinoc.calib.tuning.every_group import CalibTuning
 
 
 class PlaneMapping(NamedTuple):
-    """Mapping from a plane to the image, px.
+    """Mapping from points of a plane to image points, px: a homography plus a cubic polynomial.
 
-    Fields
-    ------
+    Attributes
+    ----------
     homography : (3, 3) projective part of the mapping.
-    bend_px : (10, 2) coefficients of the cubic that is added to it; zeros without.
-    middle, extent : centre and side of the square that normalises the arguments of the cubic.
+    cubic_px : (10, 2) coefficients of the cubic polynomial; zeros if it is not used.
+    middle, extent : centre and side of a square in the plane. The arguments of the polynomial are
+        (point - middle) / extent.
     """
 
     homography: Float[np.ndarray, "3 3"]
-    bend_px: Float[np.ndarray, "10 2"]
+    cubic_px: Float[np.ndarray, "10 2"]
     middle: Float[np.ndarray, "2"]
     extent: float
 
-    def bend(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """Displacement by the cubic, which models lens distortion, px."""
-        if not self.bend_px.any():
+    def distortion(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Displacement in the image by the cubic polynomial, px, at points of the plane.
+
+        The polynomial models lens distortion.
+        """
+        if not self.cubic_px.any():
             return np.zeros_like(points)
-        return _cubic_terms((points - self.middle) / self.extent) @ self.bend_px
+        return _cubic_terms((points - self.middle) / self.extent) @ self.cubic_px
 
     def apply(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """Images of points of the plane, px; NaN beyond the horizon."""
-        return apply_homography(self.homography, points) + self.bend(points)
+        """Images of points of the plane, px; NaN at or beyond the horizon of the plane."""
+        return apply_homography(self.homography, points) + self.distortion(points)
 
     def log_enlargement(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
-        """Logarithm of the image area, px^2, of a unit area of the plane at each point."""
+        """Logarithm of the image area of a unit area of the plane, px^2, at each point."""
         depth = points @ self.homography[2, :2] + self.homography[2, 2]
         area = np.abs(np.linalg.det(self.homography) / depth**3)
         return np.log(np.maximum(area, 1e-12))
@@ -46,9 +50,9 @@ class PlaneMapping(NamedTuple):
     def ellipses(
         self, centres: Float[np.ndarray, "n 2"], radius: Float[np.ndarray, "n"]
     ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 2"]]:
-        """Centres and shape matrices of the images of circles."""
+        """Centres, px, and shape matrices, px^2, of the images of circles in the plane."""
         ellipse_centre, shape = images_of_circles(self.homography, centres, radius)
-        return ellipse_centre + self.bend(centres), shape
+        return ellipse_centre + self.distortion(centres), shape
 
 
 def fit_plane_mapping(
@@ -58,12 +62,13 @@ def fit_plane_mapping(
     *,
     tuning: CalibTuning,
 ) -> PlaneMapping:
-    """Fit the mapping to pairs of points.
+    """Fit the mapping from a plane to an image.
 
     Parameters
     ----------
     points : (n, 2) points of the plane.
-    image_px : (n, 2) their images. With `radius`, centres of the ellipses of circles about them.
+    image_px : (n, 2) images of the points. If `radius` is given, centres of the ellipses that are
+        images of circles around the points.
     radius : (n,) radii of these circles in the plane.
     tuning : tuned constants of calibration.
     """
@@ -75,14 +80,14 @@ def fit_plane_mapping(
         homography = fit_homography(points, target)
     low, high = points.min(axis=0), points.max(axis=0)
     middle, extent = 0.5 * (low + high), max(float(np.max(high - low)), 1e-9)
-    bend = np.zeros((10, 2))
-    if len(points) >= tuning.detection.bend_points:
+    cubic = np.zeros((10, 2))
+    if len(points) >= tuning.detection.cubic_points:
         residual = target - apply_homography(homography, points)
         if np.all(np.isfinite(residual)):
             terms = _cubic_terms((points - middle) / extent)
-            ridge = tuning.detection.bend_damping * len(points) * np.eye(10)
-            bend = np.linalg.solve(terms.T @ terms + ridge, terms.T @ residual)
-    return PlaneMapping(homography, bend, middle, extent)
+            ridge = tuning.detection.cubic_damping * len(points) * np.eye(10)
+            cubic = np.linalg.solve(terms.T @ terms + ridge, terms.T @ residual)
+    return PlaneMapping(homography, cubic, middle, extent)
 
 
 def _cubic_terms(unit: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 10"]:
@@ -96,6 +101,10 @@ def fit_homography(
     source: Float[np.ndarray, "n 2"], target: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "3 3"]:
     """Fit a homography by the normalised direct linear transform.
+
+    Parameters
+    ----------
+    source, target : (n, 2) corresponding points; the homography maps `source` to `target`.
 
     References
     ----------
@@ -132,7 +141,7 @@ def _normalise(
 def apply_homography(
     homography: Float[np.ndarray, "3 3"], points: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 2"]:
-    """Images of points; NaN at or beyond the horizon of the plane."""
+    """Images of points under a homography; NaN at or beyond the horizon of the plane."""
     homogeneous = points @ homography[:, :2].T + homography[:, 2]
     depth = np.where(homogeneous[:, 2] > 1e-9, homogeneous[:, 2], np.nan)
     return homogeneous[:, :2] / depth[:, None]
@@ -143,9 +152,18 @@ def images_of_circles(
     centres: Float[np.ndarray, "n 2"],
     radius: Float[np.ndarray, "n"],
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2 2"]]:
-    """Centres and shape matrices S of the images of circles, from their dual conics.
+    """Centres and shape matrices of the images of circles, from their dual conics.
 
     The shape matrix of a circle that reaches the horizon is not positive definite.
+
+    Parameters
+    ----------
+    homography : (3, 3) homography from the plane to the image.
+    centres, radius : (n, 2), (n,) circles in the plane.
+
+    Returns
+    -------
+    (n, 2) centres, and (n, 2, 2) shape matrices S of the ellipses (x - c)^T S^-1 (x - c) = 1.
     """
     homogeneous = np.concatenate([centres, np.ones((len(centres), 1))], axis=1)
     dual = homogeneous[:, :, None] * homogeneous[:, None, :]

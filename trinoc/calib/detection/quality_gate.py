@@ -20,14 +20,14 @@ def are_plausible(
     shape_px2: Float[np.ndarray, "n 2 2"],
     noise_sigma: float,
 ) -> np.ndarray:
-    """Mask of the ellipses that can be circles of the sheet.
+    """Mask of the ellipses that can be images of circles of the sheet.
 
-    Tests position, relative size, contrast, share of inliers and residual.
+    Position, relative size, contrast, share of inliers and residual are tested.
 
     Parameters
     ----------
     fitted : (n,) fitted ellipses.
-    centre_px, shape_px2 : (n, 2), (n, 2, 2) ellipses predicted by the lattice.
+    centre_px, shape_px2 : (n, 2), (n, 2, 2) ellipses predicted from the lattice.
     noise_sigma : standard deviation of the image noise, grey levels.
     """
     deviation = fitted.centres_px - centre_px
@@ -52,7 +52,13 @@ def are_plausible(
 
 
 def are_undisturbed(fitted: Ellipses, noise_sigma: float) -> np.ndarray:
-    """Mask of the circles with a typical residual; excludes circles crossed by a shadow's edge."""
+    """Mask of the circles without an unusually large residual, for example at the edge of a shadow.
+
+    Parameters
+    ----------
+    fitted : (n,) fitted ellipses.
+    noise_sigma : standard deviation of the image noise, grey levels.
+    """
     contrast = np.abs(fitted.paper * fitted.ink)
     beyond_noise = np.maximum(fitted.residual_sigma**2 - noise_sigma**2, 0.0)
     misfit = np.sqrt(beyond_noise) / contrast
@@ -62,7 +68,13 @@ def are_undisturbed(fitted: Ellipses, noise_sigma: float) -> np.ndarray:
 def _have_expected_shapes(
     fitted: Ellipses, shape_px2: Float[np.ndarray, "n 2 2"], sigma_px: Float[np.ndarray, "n"]
 ) -> np.ndarray:
-    """Mask of the ellipses with the predicted axes and direction; excludes partly covered ones."""
+    """Mask of the ellipses whose axes and direction agree with the prediction.
+
+    The ellipse of a partly covered circle does not agree.
+
+    shape_px2 : (n, 2, 2) predicted shape matrices.
+    sigma_px : (n,) standard deviation of each centre.
+    """
     frame = inverse_square_root(shape_px2)
     relative = frame @ fitted.shape_px2 @ frame
     scale = quick_median(np.sqrt(np.linalg.det(relative)))
@@ -74,20 +86,20 @@ def _have_expected_shapes(
 def select_agreeing(
     fitted: Ellipses, index: Int[np.ndarray, "m"], pattern: Pattern, tuning: CalibTuning
 ) -> tuple[np.ndarray, PlaneMapping]:
-    """Select the circles that agree with one smooth mapping of the sheet.
+    """Select the circles that agree with one smooth mapping from the sheet to the image.
 
     Parameters
     ----------
     fitted : (m,) measured ellipses.
-    index : (m,) their pattern indices.
+    index : (m,) pattern index of each circle.
     pattern : the sheet.
     tuning : tuned constants of calibration.
 
     Returns
     -------
-    (m,) mask of the consistent circles, and the mapping from the sheet to the image.
+    (m,) mask of the circles that agree, and the mapping.
     """
-    good = np.ones(len(index), dtype=bool)
+    agrees = np.ones(len(index), dtype=bool)
     sigma_px = np.sqrt(np.trace(fitted.covariance_px2, axis1=1, axis2=2))
     tolerance_px = 0.03 * smallest_axis(fitted.shape_px2)
     centres_mm, radius_mm = pattern.centres_mm[index], pattern.radius_mm[index]
@@ -96,12 +108,12 @@ def select_agreeing(
         centre, shape = mapping.ellipses(centres_mm, radius_mm)
         deviation = fitted.centres_px - centre
         error_px = np.sqrt(deviation[:, 0] ** 2 + deviation[:, 1] ** 2)
-        previous = good
-        good = error_px < 3.0 * quick_median(error_px[good]) + 3.0 * sigma_px + tolerance_px
-        good &= _have_expected_shapes(fitted, shape, sigma_px)
-        if np.array_equal(previous, good) or np.sum(good) < tuning.detection.fewest_places:
+        previous = agrees
+        agrees = error_px < 3.0 * quick_median(error_px[agrees]) + 3.0 * sigma_px + tolerance_px
+        agrees &= _have_expected_shapes(fitted, shape, sigma_px)
+        if np.array_equal(previous, agrees) or np.sum(agrees) < tuning.detection.fewest_places:
             break
         mapping = fit_plane_mapping(
-            centres_mm[good], fitted.centres_px[good], radius_mm[good], tuning=tuning
+            centres_mm[agrees], fitted.centres_px[agrees], radius_mm[agrees], tuning=tuning
         )
-    return good, mapping
+    return agrees, mapping

@@ -11,7 +11,7 @@ from trinoc.calib.detection.circles import detect_circles
 from trinoc.calib.detection.detection import Detection, build_detection
 from trinoc.calib.detection.marker_boards import detect_april_grid, detect_charuco
 from trinoc.calib.detection.marker_readings import ReadingSearch
-from trinoc.calib.detection.usable_points import keep_usable
+from trinoc.calib.detection.usable_points import remove_unusable
 from trinoc.calib.targets.abstract_target import AbstractTarget
 from trinoc.calib.targets.april_grid import AprilGrid
 from trinoc.calib.targets.board_set import BoardSet, first_point_indices
@@ -36,20 +36,20 @@ def detect_target(
 
     Parameters
     ----------
-    image : (height, width) or (height, width, channels), 8 or 16 bit or floating point.
+    image : (height, width) or (height, width, channels) array, 8 or 16 bit or floating point.
     target : a board or a set of boards.
-    tuning : tuned constants of calibration; `tuning.detection` has those of the search.
+    tuning : tuned constants of calibration; those of the detection are in `tuning.detection`.
 
     Returns
     -------
-    Labelled points with covariances, px.
+    Labelled points with positions and covariances.
 
     Raises
     ------
-    InputError : `image` is no image, or no detector is registered for the target.
-    DetectionError : the board is not detected, or the image is unusable: interlaced rows of two
-        moments, or a raw colour mosaic. If the image shows a board with markers that is similar to
-        this one, the message describes it.
+    InputError : `image` is no image, or no detector exists for this kind of board.
+    DetectionError : the board is not detected, or the image is unusable: an interlaced image, whose
+        rows are from two moments, or a raw colour mosaic. If the image shows a board of markers
+        with a similar layout, the message describes this board.
     """
     return detect_or_explain(image, target, ReadingSearch(target, tuning=tuning), tuning=tuning)
 
@@ -62,12 +62,12 @@ def detect_or_explain(
     *,
     tuning: CalibTuning = TUNING,
 ) -> Detection:
-    """Detect like `detect_target`, with a search for wrong layouts shared by several images.
+    """Detect a board like `detect_target`, with one search for wrong layouts for several images.
 
     Parameters
     ----------
     image, target, tuning : see `detect_target`.
-    search : search for the layout that the image shows instead; None for no search.
+    search : search for the true layout of a board that is not detected; None for no search.
     camera : name of the camera.
     """
     mixed = describe_mixed_pixels(grey_image(np.asarray(image)))
@@ -92,9 +92,9 @@ def _detect(
             f"Nothing detects a {type(target).__name__}: give a Pattern, a Chessboard, a Charuco, "
             "an AprilGrid or a BoardSet."
         )
-    # Overflows are detected by `keep_usable`.
+    # Overflows are detected by `remove_unusable`.
     with np.errstate(all="ignore"):
-        return keep_usable(DETECTORS[type(target)](image, target, tuning), target, tuning)
+        return remove_unusable(DETECTORS[type(target)](image, target, tuning), target, tuning)
 
 
 def detect_pattern(
@@ -102,21 +102,22 @@ def detect_pattern(
 ) -> Detection:
     """Detect the circles and crossed lines of a sheet in one image.
 
-    Circles may be missing, covered or cut by the border, if the visible rings determine the
-    labelling. A symmetric pattern (a plain grid of discs) has several labellings. The first is the
-    one whose X axis points most to the right; `Detection.ambiguity` has the others.
+    Circles may be missing, covered or cut by the image border, if the visible rings determine the
+    labelling. A symmetric pattern, such as a plain grid of discs, has several labellings. The first
+    is the labelling whose X axis points most to the right in the image; the others are in
+    `Detection.ambiguity`.
 
     Parameters
     ----------
-    image : (height, width) or (height, width, channels), 8 or 16 bit or floating point.
+    image : (height, width) or (height, width, channels) array, 8 or 16 bit or floating point.
     pattern : the sheet.
     tuning : tuned constants of calibration.
 
     Raises
     ------
     InputError : `image` is no image, or `pattern` has no plane lattice.
-    DetectionError : the image shows no sheet, two, a mirrored one, another pattern, or too little
-        of the sheet.
+    DetectionError : the image shows no sheet, two sheets, a mirrored sheet, another pattern, or too
+        little of the sheet.
     """
     return detect_target(image, pattern, tuning=tuning)
 
@@ -126,7 +127,7 @@ def _detect_board_set(
 ) -> Detection:
     """Detect the points of all visible boards of a set.
 
-    Lines are omitted, because `Detection.lines_px` cannot state to which board they belong.
+    The crossed lines are omitted, because `Detection.lines_px` contains no index of the board.
 
     Raises
     ------

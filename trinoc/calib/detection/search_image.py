@@ -14,7 +14,13 @@ _NOISE_SAMPLES = 20_000
 
 
 class SearchImage(NamedTuple):
-    """Grey image with the standard deviation of its noise, in grey levels."""
+    """Grey image with its noise.
+
+    Attributes
+    ----------
+    grey : (h, w) grey levels.
+    noise_sigma : standard deviation of the noise, grey levels.
+    """
 
     grey: Float[np.ndarray, "h w"]
     noise_sigma: float
@@ -26,7 +32,11 @@ class SearchImage(NamedTuple):
 
 
 def search_image(image: Shaped[np.ndarray, "..."]) -> SearchImage:
-    """Convert an image to grey and estimate its noise.
+    """Convert an image to grey levels and estimate its noise.
+
+    Parameters
+    ----------
+    image : grey or colour image.
 
     Raises
     ------
@@ -40,7 +50,7 @@ def search_image(image: Shaped[np.ndarray, "..."]) -> SearchImage:
 
 
 def shrink_image(image: SearchImage, factor: int) -> SearchImage:
-    """Reduce an image by `factor`: each pixel is the mean of the pixels that it covers."""
+    """Reduce an image by `factor`; each new pixel is the mean of factor x factor pixels."""
     if factor == 1:
         return image
     width, height = (side // factor for side in image.size_px)

@@ -14,8 +14,17 @@ from trinoc.calib.tuning.every_group import CalibTuning
 from trinoc.errors import DetectionError
 
 
-def keep_usable(detection: Detection, target: AbstractTarget, tuning: CalibTuning) -> Detection:
-    """Remove points that a fit cannot use, and report their number in `Detection.remarks`.
+def remove_unusable(detection: Detection, target: AbstractTarget, tuning: CalibTuning) -> Detection:
+    """Remove the points that a fit cannot use, and report their number in `Detection.remarks`.
+
+    A point is unusable if its position or covariance is invalid, or if neighbouring corners
+    contradict its position.
+
+    Parameters
+    ----------
+    detection : points of the board.
+    target : the board.
+    tuning : tuned constants of calibration.
 
     Raises
     ------
@@ -57,13 +66,13 @@ def keep_usable(detection: Detection, target: AbstractTarget, tuning: CalibTunin
 
 
 def are_positive(covariance: Float[np.ndarray, "n k k"]) -> Bool[np.ndarray, "n"]:
-    """Mask of the matrices that are finite and positive definite, beyond rounding errors."""
+    """Mask of the matrices that are finite and positive definite beyond rounding errors."""
     finite = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
     values = np.linalg.eigvalsh(np.where(finite[:, None, None], covariance, 0.0))
     return finite & (values[:, 0] > 1e-12 * values[:, -1])
 
 
 def _count(mask: Bool[np.ndarray, "n"]) -> str:
-    """First words of a remark, such as "3 of 54 points have"."""
+    """Return the first words of a remark, such as "3 of 54 points have"."""
     number = int(mask.sum())
     return f"{number} of {len(mask)} points {'has' if number == 1 else 'have'}"

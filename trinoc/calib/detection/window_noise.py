@@ -43,12 +43,12 @@ _EMPTY = cv2.BORDER_CONSTANT  # zeros beyond the image
 
 
 class WindowPixels(NamedTuple):
-    """Pixels of n square windows, at most k each.
+    """Pixels of n square image windows, at most k pixels per window.
 
-    Fields
-    ------
+    Attributes
+    ----------
     side : side of the windows, px.
-    column, row : (n, k) position of each pixel relative to the first pixel of the window.
+    column, row : (n, k) position of each pixel relative to the first pixel of its window.
     used : (n, k) mask of the valid entries.
     """
 
@@ -57,8 +57,10 @@ class WindowPixels(NamedTuple):
     row: Int[np.ndarray, "n k"]
     used: Bool[np.ndarray, "n k"]
 
-    def lay_out(self, values: Shaped[np.ndarray, "n k *p"]) -> Shaped[np.ndarray, "n side side *p"]:
-        """Arrange values of pixels as images of the windows, with 0 for unused pixels."""
+    def as_tiles(
+        self, values: Shaped[np.ndarray, "n k *p"]
+    ) -> Shaped[np.ndarray, "n side side *p"]:
+        """Arrange values of pixels as one small image per window, with 0 for unused pixels."""
         tiles = np.zeros((len(values), self.side, self.side, *values.shape[2:]), values.dtype)
         window, pixel = np.nonzero(self.used)
         tiles[window, self.row[window, pixel], self.column[window, pixel]] = values[window, pixel]
@@ -67,14 +69,20 @@ class WindowPixels(NamedTuple):
     def opposite(
         self, positions: Float[np.ndarray, "n 2"]
     ) -> tuple[Int[np.ndarray, "n k"], Bool[np.ndarray, "n k"]]:
-        """Index of the pixel opposite to each pixel, mirrored at a position of the window.
+        """Index of the pixel opposite to each pixel, mirrored at a position in the window.
 
-        positions : (n, 2) column and row from the window's first pixel; rounded to half a pixel.
+        Parameters
+        ----------
+        positions : (n, 2) column and row relative to the window's first pixel; rounded to half a
+            pixel.
 
-        Returns the indices, and the mask of the pixels for which both exist.
+        Returns
+        -------
+        (n, k) index of the opposite pixel in its window, and (n, k) mask of the pixels that have
+        one.
         """
         count = self.used.shape[1]
-        number = self.lay_out(np.broadcast_to(np.arange(1, count + 1), self.used.shape))
+        number = self.as_tiles(np.broadcast_to(np.arange(1, count + 1), self.used.shape))
         doubled = np.rint(2.0 * positions).astype(int)
         column, row = doubled[:, :1] - self.column, doubled[:, 1:] - self.row
         inside = (column >= 0) & (column < self.side) & (row >= 0) & (row < self.side)
@@ -93,17 +101,20 @@ def sandwich_covariance(
     odd: Sequence[int],
     tuning: CalibTuning,
 ) -> Float[np.ndarray, "n 2 2"]:
-    """Covariance of the fitted position in each window, px^2.
+    """Covariance of the fitted position in each window, px^2, for correlated pixel noise.
+
+    The strength of the noise may vary. The text of the module derives the estimate.
 
     Parameters
     ----------
     pixels : pixels of the windows.
-    positions : (n, 2) fitted column and row, from the window's first pixel.
-    residual, jacobian : (n, k), (n, k, p) residuals and their derivatives at the end of the fit.
+    positions : (n, 2) fitted column and row relative to the window's first pixel.
+    residual, jacobian : (n, k), (n, k, p) residuals at the end of the fit, and their derivatives
+        with respect to the parameters.
     covariance : (n, p, p) positive definite covariance of the parameters for independent noise of
         variance 1.
-    odd : indices of the parameters whose derivatives are odd about the position. The first two are
-        the position.
+    odd : indices of the parameters whose derivatives change sign if the window is mirrored at the
+        position. The first two parameters are the position.
     tuning : tuned constants of calibration.
 
     Returns
@@ -111,27 +122,27 @@ def sandwich_covariance(
     (n, 2, 2) covariances.
     """
     odd = list(odd)
-    across, has_opposite = pixels.opposite(positions)
+    opposite_index, has_opposite = pixels.opposite(positions)
     residual, jacobian = residual * pixels.used, jacobian * pixels.used[..., None]
     by_pixel = jacobian @ covariance[:, :, odd[:2]].astype(np.float32)
     white = (by_pixel.mT @ by_pixel).astype(float)
     by_pixel = has_opposite[..., None] * by_pixel
-    opposed = (residual - _take(residual, across)) * np.float32(np.sqrt(0.5))
-    moves = np.empty((*opposed.shape, 1 + len(odd), 2), np.float32)
-    np.multiply(opposed[..., None], by_pixel, out=moves[:, :, 0])
+    odd_residual = (residual - _take(residual, opposite_index)) * np.float32(np.sqrt(0.5))
+    moves = np.empty((*odd_residual.shape, 1 + len(odd), 2), np.float32)
+    np.multiply(odd_residual[..., None], by_pixel, out=moves[:, :, 0])
     # Odd part of the Jacobian, in standard deviations of its parameters. The fit removes twice the
     # square of each column from the odd noise.
     root = np.linalg.cholesky(covariance[:, odd][:, :, odd]).astype(np.float32)
-    followed = 0.5 * (jacobian[..., odd] - _take(jacobian[..., odd], across)) @ root
-    np.multiply(followed[..., None], by_pixel[:, :, None], out=moves[:, :, 1:])
+    odd_jacobian = 0.5 * (jacobian[..., odd] - _take(jacobian[..., odd], opposite_index)) @ root
+    np.multiply(odd_jacobian[..., None], by_pixel[:, :, None], out=moves[:, :, 1:])
     (squares, observed), *by_column = _sum_pairs(pixels, moves)
-    lost_squares, lost = 2.0 * np.sum(by_column, axis=0)
+    absorbed_squares, absorbed = 2.0 * np.sum(by_column, axis=0)
     influence = np.sum(by_pixel**2, axis=2, dtype=float)
     total = influence.sum(axis=1)
     # The odd noise of a pixel and of the opposite one are equal except for the sign.
     separation = 2.0 * (pixels.column - positions[:, :1]), 2.0 * (pixels.row - positions[:, 1:])
     pairs = np.sum(influence * _weight(separation[0]) * _weight(separation[1]), axis=1)
-    expected, expected_squares = total + pairs - lost, total - lost_squares
+    expected, expected_squares = total + pairs - absorbed, total - absorbed_squares
     is_valid = (total > 0) & (np.minimum(expected, expected_squares) > _LEAST_FREE * total)
     if not is_valid.any():
         return white
@@ -146,17 +157,23 @@ def sandwich_covariance(
 def _sum_pairs(
     pixels: WindowPixels, moves: Float[np.ndarray, "n k m 2"]
 ) -> Float[np.ndarray, "m s n"]:
-    """Sums over each window: of squares, and of products over pairs of neighbouring pixels.
+    """Sums over the pixels of each window.
 
-    moves : (n, k, m, 2) m changes of the position of each window, caused by each of its k pixels.
+    Parameters
+    ----------
+    moves : (n, k, m, 2) m changes of the position of each window, each caused by one of its k
+        pixels.
 
-    Returns (m, 2, n): the sum of squares, and the sum of products.
+    Returns
+    -------
+    (m, 2, n): sum of the squares of all changes, and weighted sum of the products of changes by
+    neighbouring pixels.
     """
     count, sets = len(moves), moves.shape[2]
     # All windows are filtered as one image, with empty rows between them.
     padded = np.zeros((sets, count, pixels.side + _REACH, pixels.side, 2), moves.dtype)
     tiles = padded[:, :, : pixels.side]
-    tiles[:] = np.moveaxis(pixels.lay_out(moves), 3, 0)
+    tiles[:] = np.moveaxis(pixels.as_tiles(moves), 3, 0)
     kernel = _weight(np.arange(-_REACH, _REACH + 1.0)).astype(np.float32)
     column = padded.reshape(-1, pixels.side, 2)
     filtered = cv2.sepFilter2D(column, -1, kernel, kernel, borderType=_EMPTY)
@@ -166,15 +183,15 @@ def _sum_pairs(
 
 
 def _weight(distance_px: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Weight of a pair of pixels by its distance along rows or columns.
+    """Weight of a pair of pixels as a function of their distance along rows or along columns.
 
-    The weight is 1 up to a distance of about one pixel and falls linearly to 0.
+    The weight is 1 up to a distance of about one pixel and decreases linearly to 0.
     """
     return np.clip(2.0 - 2.0 * np.abs(distance_px) / (_REACH + 1), 0.0, 1.0)
 
 
 def _mean(ratio: Float[np.ndarray, "n"]) -> float:
-    """Mean over windows, each clipped at a multiple of the median."""
+    """Mean over the windows, after each value is clipped at a multiple of the median."""
     limit = _LARGEST_RATIO * max(float(np.median(ratio)), 0.0)
     return float(np.mean(np.clip(ratio, -limit, limit)))
 
@@ -182,5 +199,8 @@ def _mean(ratio: Float[np.ndarray, "n"]) -> float:
 def _take(
     values: Shaped[np.ndarray, "n k *p"], index: Int[np.ndarray, "n k"]
 ) -> Shaped[np.ndarray, "n k *p"]:
-    """Select for each pixel the values of another pixel of the same window."""
+    """For each pixel, values of another pixel of the same window.
+
+    index : (n, k) index of the other pixel.
+    """
     return values[np.arange(len(values))[:, None], index]

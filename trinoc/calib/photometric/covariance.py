@@ -12,16 +12,17 @@ from trinoc.calib.photometric.scene import PixelScene
 
 
 class PoseCovariance(NamedTuple):
-    """Covariance of a fitted pose, and statistics of the noise.
+    """Covariance of a fitted pose, and statistics of the image noise.
 
-    Fields
-    ------
-    matrix : (p, p) covariance of a step of the pose, lengths in units of its distance; NaN if the
-        pixels do not determine it.
-    chi_square : reduced chi-square of the residuals.
-    correlation : correlation of the noise of neighbouring pixels by lag; None if it was not
-        estimated.
-    inflation : variance of the pose divided by that for independent noise with the assumed sigmas.
+    Attributes
+    ----------
+    matrix : (p, p) covariance of a small step of the pose: angles in radians, lengths divided by
+        the camera's distance. NaN if the pixels do not determine the pose.
+    chi_square : reduced chi-square of the pixel residuals.
+    correlation : (9, 9) correlation of the noise of two pixels, by their offset (rows, columns);
+        offset 0 is in the centre. None if it was not estimated.
+    inflation : mean factor by which `matrix` exceeds the covariance for independent noise with the
+        assumed sigmas.
     """
 
     matrix: Float[np.ndarray, "p p"]
@@ -37,10 +38,10 @@ def pose_covariance(
 
     Parameters
     ----------
-    scene : constants of the fit.
-    fit_state : end of the fit.
-    correlated : True for a sandwich covariance with the estimated correlation of the noise; False
-        for the inverse of the information.
+    scene : pixels and constants of the fit.
+    fit_state : result of the last step of the fit.
+    correlated : True for a sandwich covariance, which includes the estimated correlation of the
+        noise of neighbouring pixels. False for the inverse of the information matrix.
     """
     size, free = scene.model.size, fit_state.free
     residual, sigma = fit_state.residual(scene)
@@ -48,9 +49,9 @@ def pose_covariance(
     clear = fit_state.is_clear(scene)
     standard = residual / sigma
     chi_square = float(np.sum(standard[clear] ** 2) / max(clear.sum() - free.sum(), 1))
-    matrix, _, follow_of_levels = fit_state.normal_equations()
-    follow = elimination_matrix(matrix, free, size)
-    information = pose_information(matrix, follow)
+    matrix, _, levels_by_unknowns = fit_state.normal_equations()
+    elimination = elimination_matrix(matrix, free, size)
+    information = pose_information(matrix, elimination)
     if not np.isfinite(information).all():
         return PoseCovariance(np.full((size, size), np.nan), chi_square, None, np.nan)
     inverse = np.linalg.pinv(information, hermitian=True)
@@ -58,7 +59,9 @@ def pose_covariance(
         return PoseCovariance(inverse * chi_square, chi_square, None, chi_square)
     grid = scene.grid
     correlation = autocorrelation(grid, standard, clear, scene.tuning.significant_sigmas)
-    rows = _rows_of_pose(scene, fit_state, follow, follow_of_levels) * (fit_state.inliers / sigma)
+    rows = _pose_derivatives(scene, fit_state, elimination, levels_by_unknowns) * (
+        fit_state.inliers / sigma
+    )
     middle = sum_correlated(grid, rows, correlation)
     matrix = _sandwich(inverse, middle, scene.tuning.least_spread) * chi_square
     inflation = float(np.trace(np.linalg.pinv(inverse, hermitian=True) @ matrix)) / size
@@ -68,7 +71,7 @@ def pose_covariance(
 
 
 def spread_of_values(scene: PixelScene, fit_state: ImageFitState) -> Float[np.ndarray, "k"]:
-    """Standard deviations of the unknowns other than the pose; 0 for fixed ones."""
+    """Standard deviations of the unknowns other than the pose, (k,); 0 for fixed unknowns."""
     spread, free = np.zeros(len(fit_state.free)), fit_state.free
     inverse = np.linalg.pinv(fit_state.normal_equations()[0][np.ix_(free, free)])
     spread[free] = np.sqrt(np.abs(np.diag(inverse)))
@@ -78,50 +81,70 @@ def spread_of_values(scene: PixelScene, fit_state: ImageFitState) -> Float[np.nd
 def elimination_matrix(
     matrix: Float[np.ndarray, "k k"], free: Bool[np.ndarray, "k"], pose_size: int
 ) -> Float[np.ndarray, "k p"]:
-    """Derivative of the optimal other unknowns by the pose, with opposite sign; 0 for fixed ones.
+    """Matrix E that eliminates the other unknowns from the normal equations of the pose.
 
-    matrix : (k, k) normal matrix of (pose, other unknowns).
-    free : (k,) mask of the estimated unknowns.
+    If the pose changes by d, the optimal change of the other unknowns is -E d.
+
+    Parameters
+    ----------
+    matrix : (k, k) normal matrix, the p parameters of the pose first.
+    free : (k,) mask of the estimated unknowns; those of the pose are all estimated.
+    pose_size : number p of pose parameters.
+
+    Returns
+    -------
+    (k, p) matrix. The rows of the pose and of fixed unknowns are 0.
     """
     rest = np.flatnonzero(free)[pose_size:]
     inner = matrix[np.ix_(rest, rest)]
     scale = 1 / np.sqrt(np.maximum(np.diag(inner), 1e-300))
     scaled = inner * scale[:, None] * scale
-    follow = np.zeros((len(matrix), pose_size))
+    elimination = np.zeros((len(matrix), pose_size))
     if np.isfinite(scaled).all():
         side = scale[:, None] * matrix[rest, :pose_size]
-        follow[rest] = scale[:, None] * np.linalg.lstsq(scaled, side)[0]
-    return follow
+        elimination[rest] = scale[:, None] * np.linalg.lstsq(scaled, side)[0]
+    return elimination
 
 
 def pose_information(
-    matrix: Float[np.ndarray, "k k"], follow: Float[np.ndarray, "k p"]
+    matrix: Float[np.ndarray, "k k"], elimination: Float[np.ndarray, "k p"]
 ) -> Float[np.ndarray, "p p"]:
-    """Information of the pose after elimination of the other unknowns (Schur complement)."""
-    size = follow.shape[1]
-    return matrix[:size, :size] - matrix[:size] @ follow
+    """Information matrix (p, p) of the pose after elimination of the other unknowns.
+
+    This is a Schur complement.
+
+    Parameters
+    ----------
+    matrix : (k, k) normal matrix, the p parameters of the pose first.
+    elimination : (k, p) result of `elimination_matrix`.
+    """
+    size = elimination.shape[1]
+    return matrix[:size, :size] - matrix[:size] @ elimination
 
 
-def _rows_of_pose(
+def _pose_derivatives(
     scene: PixelScene,
     fit_state: ImageFitState,
-    follow: Float[np.ndarray, "k p"],
-    follow_of_levels: Float[np.ndarray, "b 6 k"],
+    elimination: Float[np.ndarray, "k p"],
+    levels_by_unknowns: Float[np.ndarray, "b 6 k"],
 ) -> Float[np.ndarray, "p n"]:
-    """Derivatives of each pixel by the pose, with all other unknowns at their optimum.
+    """Total derivative (p, n) of each pixel's grey level with respect to the pose.
 
-    follow : see `elimination_matrix`.
-    follow_of_levels : the same for the local levels, see `ImageFitState.normal_equations`.
+    The other unknowns follow the pose to their new optimum.
+
+    elimination : (k, p) result of `elimination_matrix`.
+    levels_by_unknowns : (b, 6, k) derivative of the optimal local light of each block with respect
+        to all unknowns; see `ImageFitState.normal_equations`.
     """
     size = scene.model.size
-    motion = -follow
+    motion = -elimination
     motion[:size] = np.eye(size)
     by_motion = np.asarray(fit_state.prediction.by_motion)
     by_homography = np.concatenate([by_motion @ motion[:size], motion[size:]])
     rows = by_homography.T @ fit_state.rows(scene)
     if scene.has_local_light and scene.blocks is not None:
         by_levels = local_rows(fit_state.rows_by_local(scene), scene.blocks.basis)
-        levels = follow_of_levels @ motion
+        levels = levels_by_unknowns @ motion
         rows = rows + np.einsum("kn,nkp->pn", by_levels, levels[scene.blocks.of_pixel])
     return rows
 
@@ -129,9 +152,9 @@ def _rows_of_pose(
 def _sandwich(
     inverse: Float[np.ndarray, "p p"], middle: Float[np.ndarray, "p p"], smallest_spread: float
 ) -> Float[np.ndarray, "p p"]:
-    """Sandwich covariance: inverse @ middle @ inverse, at least `smallest_spread` times `inverse`.
+    """Sandwich covariance inverse @ middle @ inverse, at least `smallest_spread` times `inverse`.
 
-    The lower limit is needed because correlations estimated lag by lag may be inconsistent.
+    The lower limit is needed because the estimated correlations may not form a valid covariance.
     """
     values, vectors = np.linalg.eigh(inverse)
     root = vectors * np.sqrt(np.maximum(values, 0.0))

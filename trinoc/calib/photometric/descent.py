@@ -17,16 +17,16 @@ def fit_image(
     most_steps: Int[ArrayLike, ""],
     atol: Float[ArrayLike, ""],
 ) -> Solution[ImageState]:
-    """Take steps of the fit.
+    """Minimise the chi-square of one image by Levenberg-Marquardt steps.
 
     Parameters
     ----------
-    problem : the image with its weights and priors.
-    state : initial state.
-    start : equations of all unknowns at `state`.
+    problem : pixels of the image with their weights, and priors.
+    state : initial values of the unknowns.
+    start : least-squares equations of all unknowns at `state`.
     first_damping : initial damping.
     most_steps : largest number of steps.
-    atol : the fit ends if the next step promises a smaller gain of chi-square.
+    atol : the fit ends if the predicted decrease of chi-square by the next step is smaller.
     """
     return descend(
         problem, state, first_damping, problem.remove_fixed(start), atol=atol, most_steps=most_steps

@@ -28,16 +28,21 @@ _NEAREST_TO_CENTRE, _LEAST_ROOT, _SURE_SHARE = 0.25, 0.1, 0.95
 
 
 class Edge(NamedTuple):
-    """Geometry of an edge relative to a pixel; constant in the linearised model.
+    """Geometry of an edge of ink relative to a pixel; constant in the linearised model.
 
-    Fields
-    ------
+    The edge is the curve F(X, Y) = 0 on the sheet, with ink where F < 0 (mm). Its foot is the point
+    of the edge's image that is nearest to the pixel.
+
+    Attributes
+    ----------
     distance : distance of the pixel from the edge's image, positive outside the ink, px.
-    gradient : g, length of the gradient of F by the pixel coordinates at the foot, mm per px.
-    normal_u, normal_v : N, direction of this gradient in the image.
-    normal_x, normal_y : n, unit gradient of F on the sheet.
-    curvature : curvature of the edge's image at the foot, positive for convex ink, per px.
-    curvature_change : second derivative of the curvature along the edge, per px^3.
+    gradient : length g of the derivative of F with respect to the pixel coordinates at the foot, mm
+        per px.
+    normal_u, normal_v : unit vector N of this derivative in the image.
+    normal_x, normal_y : unit vector n of the gradient of F on the sheet.
+    curvature : curvature of the edge's image at the foot, positive for convex ink, 1/px.
+    curvature_change : second derivative of the curvature with respect to the length along the edge,
+        1/px^3.
     unit : 1 (see `SheetPoint`).
     """
 
@@ -60,8 +65,8 @@ def straight_edge(
     Parameters
     ----------
     point : point of the sheet under each pixel.
-    normal_x, normal_y : unit normal n, pointing away from the ink.
-    offset_mm : distance of the edge from the origin along n.
+    normal_x, normal_y : unit normal n on the sheet, pointing away from the ink.
+    offset_mm : signed distance of the edge from the sheet's origin along n.
     """
     value = normal_x * point.point_mm[0] + normal_y * point.point_mm[1] - offset_mm
     gradient, normal_u, normal_v = _gradient(point, normal_x, normal_y)
@@ -69,7 +74,7 @@ def straight_edge(
         point.depth_slope[0], point.depth_slope[1], normal_u, normal_v
     )
     # Distance to third order. Without distortion the image is a straight line.
-    lens = _lens_bend(point, normal_x, normal_y, normal_u, normal_v, gradient)
+    lens = _lens_curvature(point, normal_x, normal_y, normal_u, normal_v, gradient)
     along_n, across = lens.along_n - 2 * slope_n, lens.across - slope_t
     first = value / gradient
     distance = (
@@ -99,25 +104,25 @@ def circular_edge(
 ) -> Edge:
     """Geometry of a circular edge, F = |(X, Y) - centre| - radius.
 
-    The foot follows from the expansion of F to second order at the pixel. The geometry is then
-    evaluated at the foot, because the curvature of an oblique circle's image varies strongly.
+    F is expanded to second order at the pixel to find the foot. The geometry is then evaluated at
+    the foot, because the curvature of an oblique circle's image varies strongly.
 
     Parameters
     ----------
     sheet_from_camera : homography from rays in the camera frame to the sheet.
-    ray, point : ray of each pixel, and its point on the sheet.
-    centre_mm, radius_mm : the circle.
+    ray, point : ray of each pixel, and the point of the sheet under each pixel.
+    centre_mm, radius_mm : centre and radius of the circle on the sheet.
     """
     normal_x, normal_y, centre_distance = _from_centre(point, centre_mm)
     gradient, normal_u, normal_v = _gradient(point, normal_x, normal_y)
     tangent_n, _ = _tangent(point, normal_x, normal_y, normal_u, normal_v)
     slope_n, _ = _rotate_components(point.depth_slope[0], point.depth_slope[1], normal_u, normal_v)
     far = jnp.maximum(centre_distance, _NEAREST_TO_CENTRE * radius_mm)
-    lens = _lens_bend(point, normal_x, normal_y, normal_u, normal_v, gradient)
-    bend = tangent_n * tangent_n / (far * gradient) - 2 * slope_n + lens.along_n
+    lens = _lens_curvature(point, normal_x, normal_y, normal_u, normal_v, gradient)
+    second_along_n = tangent_n * tangent_n / (far * gradient) - 2 * slope_n + lens.along_n
     value = centre_distance - radius_mm
     first = value / gradient
-    root = jnp.sqrt(jnp.maximum(1 - 2 * bend * first, _LEAST_ROOT))
+    root = jnp.sqrt(jnp.maximum(1 - 2 * second_along_n * first, _LEAST_ROOT))
     step = 2 * first / (1 + root)
     shift_u, shift_v = -step * normal_u, -step * normal_v
 
@@ -127,11 +132,11 @@ def circular_edge(
     tangent_n, tangent_t = _tangent(foot, normal_x, normal_y, normal_u, normal_v)
     curvature = tangent_t * tangent_t / (radius_mm * gradient)
     ratio = (15 * tangent_n * tangent_n - 3 * tangent_t * tangent_t) / (gradient * gradient)
-    lens = _lens_bend(foot, normal_x, normal_y, normal_u, normal_v, gradient)
+    lens = _lens_curvature(foot, normal_x, normal_y, normal_u, normal_v, gradient)
     change = curvature * tangent_t * tangent_t / (radius_mm * radius_mm) * (3 + ratio)
     curvature = curvature + lens.along_t
     outward, sideways = _rotate_components(-shift_u, -shift_v, normal_u, normal_v)
-    rest = (centre_distance - radius_mm) / gradient
+    remaining = (centre_distance - radius_mm) / gradient
     rounding = 0.5 * curvature * sideways * sideways / jnp.maximum(1 + curvature * outward, 0.5)
     # The largest stretch of the mapping bounds the slope of F. Inside an oblique ellipse, where the
     # foot may lie on either side, this keeps the distance from vanishing.
@@ -140,7 +145,7 @@ def circular_edge(
     flat = jnp.sqrt(jnp.maximum(squares * squares - 4 * area * area, 0.0))
     stretch = jnp.sqrt(0.5 * (squares + flat))
     lower_bound = _SURE_SHARE * jnp.abs(value) / stretch
-    distance = outward + rest + rounding
+    distance = outward + remaining + rounding
     distance = jnp.where(
         value < 0, jnp.minimum(distance, -lower_bound), jnp.maximum(distance, lower_bound)
     )
@@ -158,10 +163,19 @@ def circular_edge(
 
 
 class Kernel(NamedTuple):
-    """Blur kernel of an image, including the integration over a pixel.
+    """Blur kernel of an image, including the integration over the square pixel.
 
-    With `sigma_px` alone it is a Gaussian. See `unknowns` for the fields. None means the value of
-    the ideal camera; the compiler omits such terms.
+    With `sigma_px` alone the kernel is a Gaussian. A field that is None has the value of an ideal
+    camera, and the compiler omits its terms.
+
+    Attributes
+    ----------
+    sigma_px : rms width along one axis, mean over all directions.
+    kurtosis, sixth : fourth and sixth cumulant divided by powers of the width; 0 for a Gaussian.
+    along_u : (variance along u - variance along v) / 2, px^2.
+    diagonal : covariance of u and v, px^2.
+    along_axes : half the variance along the image axes minus half that along the diagonals, px^2.
+    line : shape of the anisotropic part: 1 for a straight motion, 0 for a Gaussian.
     """
 
     sigma_px: Scalar
@@ -174,13 +188,15 @@ class Kernel(NamedTuple):
 
 
 class EdgeCoverage(NamedTuple):
-    """Coverage of a pixel by one edge, with intermediate results for `coverage_of_both`.
+    """Share of a pixel that is on the inked side of one edge.
 
-    Fields
-    ------
-    share : share of the pixel with ink.
-    score, density : argument of the normal distribution function, and its density there.
-    normal_u, normal_v : direction of the edge's normal in the image.
+    Attributes
+    ----------
+    share : share of the pixel's light that comes from the inked side, 0 to 1.
+    score : argument z of the normal distribution function; without higher cumulants the share is
+        Phi(z).
+    density : standard normal density at `score`.
+    normal_u, normal_v : unit normal of the edge in the image.
     """
 
     share: Scalar
@@ -191,10 +207,16 @@ class EdgeCoverage(NamedTuple):
 
 
 def coverage(edge: Edge, shift_mm: Scalar, kernel: Kernel) -> EdgeCoverage:
-    """Coverage of a pixel by an edge whose F has increased by `shift_mm`.
+    """Share of a pixel that is on the inked side of an edge.
 
     The kernel is a Gaussian whose width depends on the direction of the edge. Higher cumulants
     enter as in Edgeworth's series; they describe the flat top of defocus and of motion blur.
+
+    Parameters
+    ----------
+    edge : geometry of the edge.
+    shift_mm : displacement of the edge toward its ink; negative if the ink spreads.
+    kernel : blur kernel.
     """
     variance, along_variance = _variances(edge, kernel)
     kurtosis = _kurtosis_term(edge, kernel, variance)
@@ -233,7 +255,10 @@ def _variances(edge: Edge, kernel: Kernel) -> tuple[Scalar, Scalar]:
 
 
 def _kurtosis_term(edge: Edge, kernel: Kernel, variance: Scalar) -> Scalar:
-    """Excess kurtosis of the kernel along the normal, divided by 24, with that of the pixel."""
+    """Excess kurtosis of the kernel along the edge's normal, divided by 24.
+
+    The kurtosis of the square pixel is included.
+    """
     box = (edge.normal_u**4 + edge.normal_v**4) / (2880 * variance * variance)
     if kernel.along_u is None or kernel.diagonal is None:
         return -box
@@ -254,11 +279,12 @@ def _double_angle(edge: Edge) -> tuple[Scalar, Scalar]:
 
 
 def coverage_of_both(first: EdgeCoverage, second: EdgeCoverage) -> Scalar:
-    """Share of the pixel on the inked side of both edges.
+    """Share of the pixel that is on the inked side of both edges.
 
-    The distances from both edges are normal variables, correlated by the angle of the edges. The
-    bivariate normal distribution function is evaluated by its tetrachoric series. The result is
-    clipped to the Frechet bounds, because the series fails for nearly parallel edges.
+    The distances of a random point of the kernel from both edges have a bivariate normal
+    distribution. Their correlation is the cosine of the angle between the edges' normals. The
+    distribution function is evaluated by its tetrachoric series. The result is clipped to the
+    Frechet bounds, because the series fails for nearly parallel edges.
     """
     rho = first.normal_u * second.normal_u + first.normal_v * second.normal_v
     p, q = first.score, second.score
@@ -271,7 +297,7 @@ def coverage_of_both(first: EdgeCoverage, second: EdgeCoverage) -> Scalar:
 def _from_centre(
     point: SheetPoint, centre_mm: Float[ArrayLike, "2 *n"]
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Unit vector from a circle's centre to a point of the sheet, and their distance, mm."""
+    """Unit vector (x, y) from a circle's centre to a point of the sheet, and their distance, mm."""
     dx, dy = point.point_mm[0] - centre_mm[0], point.point_mm[1] - centre_mm[1]
     distance = jnp.sqrt(dx * dx + dy * dy + 1e-12)
     return dx / distance, dy / distance, distance
@@ -280,7 +306,12 @@ def _from_centre(
 def _gradient(
     point: SheetPoint, normal_x: Scalar, normal_y: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Length and direction, in the image, of the gradient of F."""
+    """Gradient of F, the distance from the edge on the sheet, with respect to pixel coordinates.
+
+    Returns its length, mm per px, and its unit vector (u, v).
+
+    normal_x, normal_y : gradient of F with respect to the sheet's coordinates, a unit vector.
+    """
     (a00, a01), (a10, a11) = point.by_pixel
     u, v = normal_x * a00 + normal_y * a10, normal_x * a01 + normal_y * a11
     length = jnp.sqrt(u * u + v * v)
@@ -290,36 +321,46 @@ def _gradient(
 def _tangent(
     point: SheetPoint, normal_x: Scalar, normal_y: Scalar, normal_u: Scalar, normal_v: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """Displacement along the edge on the sheet, mm, per px along N and along T in the image."""
+    """Movement along the edge on the sheet, mm, per pixel of movement in the image.
+
+    The first value is for a movement along the image normal N of the edge, the second along its
+    tangent T.
+    """
     (a00, a01), (a10, a11) = point.by_pixel
     u, v = -normal_y * a00 + normal_x * a10, -normal_y * a01 + normal_x * a11
     return _rotate_components(u, v, normal_u, normal_v)
 
 
-class _LensBend(NamedTuple):
-    """Second derivatives of F due to lens distortion, over g: along N, mixed, and along T."""
+class _LensCurvature(NamedTuple):
+    """Second derivatives of F that lens distortion causes, relative to the length of F's gradient.
+
+    F is the distance from the edge on the sheet, mm; the derivatives are with respect to pixel
+    coordinates. The fields are the derivatives along the edge's normal N twice, along N and the
+    tangent T, and along T twice.
+    """
 
     along_n: Scalar
     across: Scalar
     along_t: Scalar
 
 
-def _lens_bend(
+def _lens_curvature(
     point: SheetPoint,
     normal_x: Scalar,
     normal_y: Scalar,
     normal_u: Scalar,
     normal_v: Scalar,
     gradient: Scalar,
-) -> _LensBend:
-    if point.bend is None:
+) -> _LensCurvature:
+    if point.second_by_pixel is None:
         zero = jnp.zeros_like(gradient)
-        return _LensBend(zero, zero, zero)
+        return _LensCurvature(zero, zero, zero)
     uu, uv, vv = (
-        (normal_x * point.bend[0, k] + normal_y * point.bend[1, k]) / gradient for k in range(3)
+        (normal_x * point.second_by_pixel[0, k] + normal_y * point.second_by_pixel[1, k]) / gradient
+        for k in range(3)
     )
     square_u, both, square_v = normal_u * normal_u, normal_u * normal_v, normal_v * normal_v
-    return _LensBend(
+    return _LensCurvature(
         uu * square_u + 2 * uv * both + vv * square_v,
         (vv - uu) * both + uv * (square_u - square_v),
         uu * square_v - 2 * uv * both + vv * square_u,
@@ -329,5 +370,8 @@ def _lens_bend(
 def _rotate_components(
     u: Scalar, v: Scalar, normal_u: Scalar, normal_v: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """Components of (u, v) along N and along T, which is N rotated by 90 degrees."""
+    """Components of an image vector (u, v) along the edge's normal N and its tangent T.
+
+    T is N rotated by 90 degrees from u toward v.
+    """
     return u * normal_u + v * normal_v, v * normal_u - u * normal_v

@@ -25,22 +25,22 @@ _NEUTRAL = np.array([0.25, 0.5, 0.25])  # numerical: equal total weights of even
 
 
 class Encoding(NamedTuple):
-    """Known properties of the images of a rig.
+    """Known properties of the images of a rig: Bayer pattern and camera response.
 
-    Fields
-    ------
-    bayer : for raw mosaics, colours of the first two pixels of the first two rows, such as "RGGB";
-        None for other images.
-    response : "linear" or "srgb" if the camera's response is known. "fit": linear unless the
-        profiles of edges refute it; then estimated.
+    Attributes
+    ----------
+    bayer : colours of the first two pixels of the first two rows of a raw colour mosaic, such as
+        "RGGB"; None for other images.
+    response : "linear" or "srgb" if the camera's response is known. "fit": the response is assumed
+        linear, and it is estimated if the profiles of edges contradict this.
     """
 
     bayer: str | None = None
     response: Response = "fit"
 
     @property
-    def bend(self) -> float | None:
-        """Curvature of the known response (0 linear, 1 sRGB); None if it is to be estimated."""
+    def response_bend(self) -> float | None:
+        """Curvature of the known response (0 linear, 1 sRGB); None if the response is estimated."""
         if self.response == "fit":
             return None
         response = find_response(self.response)
@@ -48,7 +48,7 @@ class Encoding(NamedTuple):
         return float(response.bend)
 
     def check(self) -> None:
-        """Raise InputError for unknown values."""
+        """Raise `InputError` if `bayer` or `response` has an unknown value."""
         is_text = isinstance(self.bayer, str)
         if self.bayer is not None and not (is_text and sorted(self.bayer) == sorted("RGGB")):
             raise InputError(f'bayer is "{self.bayer}": give "RGGB", "BGGR", "GRBG" or "GBRG".')
@@ -61,11 +61,11 @@ AS_DELIVERED = Encoding()
 
 
 class BalancedMosaic(NamedTuple):
-    """A mosaic with all pixels scaled to the levels of green.
+    """A raw mosaic in which paper and ink have the same grey levels under all colour filters.
 
-    Fields
-    ------
-    image : (h, w) scaled grey levels.
+    Attributes
+    ----------
+    image : (h, w) grey levels, scaled to the levels of green pixels.
     noise_scale : (h, w) factor by which the scaling multiplies the noise.
     """
 
@@ -81,15 +81,15 @@ def balance_mosaic(
     pattern: Pattern,
     fewest_pixels: int,
 ) -> BalancedMosaic:
-    """Scale each colour of a mosaic so that paper and ink have the levels of green.
+    """Scale each colour of a mosaic so that paper and ink have the levels of green pixels.
 
     Parameters
     ----------
     image : raw mosaic.
     bayer : colours of the first two pixels of the first two rows, such as "RGGB".
-    pose, lens : approximate camera, which predicts the positions of ink and paper.
+    pose, lens : approximate camera, used to find pixels of ink and of paper.
     pattern : the sheet.
-    fewest_pixels : fewest pixels of a colour for a mean level.
+    fewest_pixels : smallest number of pixels from which the mean level of a colour is computed.
 
     Raises
     ------
@@ -98,10 +98,10 @@ def balance_mosaic(
     phase = _phases(image.shape)
     # Both green pixels of a tile have the same colour index.
     colour = np.array([bayer.index(letter) for letter in bayer])[phase]
-    full = pattern.inner_radius_mm == 0
+    is_disc = pattern.inner_radius_mm == 0
     ink, paper = (
         _levels(
-            image, colour, _samples(pattern, full, radii, pose, lens, image.shape), fewest_pixels
+            image, colour, _samples(pattern, is_disc, radii, pose, lens, image.shape), fewest_pixels
         )
         for radii in (_INK_RADII, _PAPER_RADII)
     )
@@ -115,13 +115,13 @@ def balance_mosaic(
 
 
 def neutral_mosaic(image: Shaped[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Filter a mosaic so that each pixel has a quarter of red, a half of green, a quarter of blue.
+    """Convert a raw mosaic to a grey image: 1/4 red, 1/2 green and 1/4 blue in every pixel.
 
     The filter is symmetric and does not displace edges.
 
     Raises
     ------
-    InputError : the image is no mosaic.
+    InputError : the image has more than one value per pixel.
     """
     if image.ndim != 2:
         raise InputError(
@@ -132,25 +132,26 @@ def neutral_mosaic(image: Shaped[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]
 
 
 def _phases(shape: tuple[int, ...]) -> Int[np.ndarray, "h w"]:
-    """Position of each pixel in its 2 x 2 tile, 0 to 3."""
+    """Position of each pixel in its 2 x 2 tile of the mosaic: 0 to 3, row by row."""
     row, column = np.indices(shape[:2]) % 2
     return 2 * row + column
 
 
 def _samples(
     pattern: Pattern,
-    full: np.ndarray,
+    is_disc: np.ndarray,
     radii: tuple[float, ...],
     pose: Pose,
     lens: AbstractLens,
     shape: tuple[int, ...],
 ) -> Int[np.ndarray, "n 2"]:
-    """Pixels (row, column) on rings around the centres of the discs.
+    """Pixels (row, column) on rings around the centres of the discs, inside the image.
 
-    full : mask of the discs among the circles.
+    is_disc : mask of the pattern's circles that are discs, not rings.
     radii : radii of the rings divided by the radius of the disc.
+    shape : rows and columns of the image.
     """
-    centres, radius = pattern.centres_mm[full], pattern.radius_mm[full]
+    centres, radius = pattern.centres_mm[is_disc], pattern.radius_mm[is_disc]
     rings = [circle_points_mm(centres, share * radius).reshape(-1, 2) for share in radii]
     uv_px = np.asarray(project_to_image(pose, lens, np.concatenate(rings)))
     pixels = np.round(uv_px[:, ::-1]).astype(int)
@@ -164,7 +165,11 @@ def _levels(
     pixels: Int[np.ndarray, "n 2"],
     fewest_pixels: int,
 ) -> Float[np.ndarray, "4"]:
-    """Mean level of each colour at the sample pixels (row, column), without outliers."""
+    """Mean grey level of each colour index (0 to 3), without outliers.
+
+    colour : (h, w) colour index of each pixel.
+    pixels : (n, 2) sample pixels (row, column).
+    """
     levels, grey = np.zeros(4), image[tuple(pixels.T)]
     colour_of_pixel = colour[tuple(pixels.T)]
     for k in set(colour.ravel().tolist()):

@@ -36,7 +36,14 @@ CHUNK = 512  # numerical: number of pixels in a chunk
 
 
 class LocalPixels(NamedTuple):
-    """Block of each pixel, and (1, x, y) relative to the centre of the block, in half pitches."""
+    """Assignment of pixels to the blocks of the sheet that have their own light.
+
+    Attributes
+    ----------
+    block : (n,) index of each pixel's block.
+    basis : (n, 3) values 1, x, y of each pixel; x and y are relative to the block's centre, in
+        halves of the distance between block centres.
+    """
 
     block: Int[ArrayLike, "n"]
     basis: Float[ArrayLike, "n 3"]
@@ -45,10 +52,10 @@ class LocalPixels(NamedTuple):
 class Group(NamedTuple):
     """Pixels with the same model: those near circles only, or those near a line.
 
-    Fields
-    ------
-    pixels : the pixels, padded to complete chunks.
-    chunks : number of chunks that are used.
+    Attributes
+    ----------
+    pixels : the pixels, padded to complete chunks of `CHUNK` pixels.
+    chunks : number of chunks with pixels that are not padding.
     local : block of each pixel if blocks have their own light, else None.
     """
 
@@ -58,14 +65,14 @@ class Group(NamedTuple):
 
 
 class ImageData(NamedTuple):
-    """Data of one image for the compiled programs: pixels, constants and priors.
+    """Pixels, constants and priors of one image, as arguments of the compiled programs.
 
-    Fields
-    ------
-    near_circles, near_lines : the two groups of pixels.
+    Attributes
+    ----------
+    near_circles, near_lines : pixels near circles only, and pixels near a crossed line.
     cross : the crossed lines of the sheet.
     white : grey level of a full signal.
-    saturation : saturation level.
+    saturation : saturation level, and the noise assumed for clipped pixels.
     prior : prior of the unknowns other than the pose.
     """
 
@@ -80,14 +87,15 @@ class ImageData(NamedTuple):
 class PixelRows(NamedTuple):
     """Predicted grey levels before saturation, and their derivatives.
 
-    For a group of pixels, the leading axis counts the chunks, padding included.
+    The arrays of a whole group have one more axis in front, which counts the chunks.
 
-    Fields
-    ------
+    Attributes
+    ----------
     level : (n,) grey levels.
-    rows : (9 + k, n) derivatives by the homography and by the unknowns other than the pose.
-    by_local : (2, n) derivatives by the light and the veil of the pixel's block; (0, n) without
-        local light.
+    rows : (9 + k, n) derivatives with respect to the 9 elements of the sheet-from-camera homography
+        and the k unknowns other than the pose.
+    by_local : (2, n) derivatives with respect to the light and the veil (additional light on paper
+        and ink alike) of the pixel's block; (0, n) if blocks do not have their own light.
     """
 
     level: Float[ArrayLike, "*c n"]
@@ -96,7 +104,14 @@ class PixelRows(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """Predicted pixels of both groups, and the derivative (9, p) of the homography by the pose."""
+    """Predicted grey levels of one image, with derivatives.
+
+    Attributes
+    ----------
+    near_circles, near_lines : predictions of both groups of pixels.
+    by_motion : (9, p) derivative of the sheet-from-camera homography with respect to a step of the
+        pose.
+    """
 
     near_circles: PixelRows
     near_lines: PixelRows
@@ -104,14 +119,19 @@ class Prediction(NamedTuple):
 
 
 class ImageProblem(AbstractArrowProblem[ImageState]):
-    """Least-squares problem of one image. The head is (pose, values); each block has local levels.
+    """Least-squares problem of the grey levels of one image.
 
-    Fields
-    ------
-    image : pixels with their noise, and priors.
-    loss : robust loss, which saturates at a squared residual in sigmas; infinite for least squares.
-    free : (k,) 1 for each estimated unknown of the head, else 0.
-    stride : only the first 1/stride of each group's chunks is used.
+    The normal equations are a block arrow. Its head consists of the pose and the other unknowns of
+    the whole image. Each block consists of the six parameters of the local light of one block of
+    the sheet.
+
+    Attributes
+    ----------
+    image : pixels with their noise, constants and priors.
+    loss : robust loss of Geman and McClure of the squared normalised residual; an infinite scale
+        gives least squares.
+    free : (k,) 1 for each unknown of the head that is estimated, else 0.
+    stride : the sums use the first 1/stride of the chunks of each group.
     drawing : properties of the sheet.
     model : parameters of the pose that a step may change.
     """
@@ -124,15 +144,16 @@ class ImageProblem(AbstractArrowProblem[ImageState]):
     model: PoseModel = eqx.field(static=True)
 
     def equations(self, state: ImageState) -> ArrowEquations:
-        """Equations of the estimated unknowns.
+        """Normal equations of the estimated unknowns at a state.
 
-        Their `details` are the equations of all unknowns, whose `details` are the prediction.
+        `details` of the result contains the equations of all unknowns; their `details` is the
+        `Prediction`.
         """
         all_equations = predict_image(self, state)
         return self.remove_fixed(all_equations)._replace(details=all_equations)
 
     def remove_fixed(self, equations: ArrowEquations) -> ArrowEquations:
-        """Set the rows and columns of fixed unknowns to zero."""
+        """Copy of the equations in which the rows and columns of fixed unknowns are zero."""
         arrow, (of_head, of_blocks), free = equations.information, equations.gradient, self.free
         head = arrow.head * free[:, None] * free[None]
         arrow = BlockArrow(head, arrow.coupling * free[None, :, None], arrow.blocks)
@@ -141,12 +162,22 @@ class ImageProblem(AbstractArrowProblem[ImageState]):
     def retract(
         self, state: ImageState, head: Float[ArrayLike, "k"], blocks: Float[ArrayLike, "b 6"]
     ) -> ImageState:
-        """State after a step, clipped to the bounds of the unknowns."""
+        """State after a step, clipped to the bounds of the unknowns.
+
+        Parameters
+        ----------
+        state : state before the step.
+        head : (k,) step of the pose and the other unknowns of the image.
+        blocks : (b, 6) step of the local light of each block.
+        """
         return state.move(head, state.levels + blocks.T, self.model)
 
 
 def predict_image(problem: ImageProblem, state: ImageState) -> ArrowEquations:
-    """Equations of all unknowns at a state; their `details` are the prediction."""
+    """Predict all pixels, and build the normal equations of all unknowns.
+
+    `details` of the result is the `Prediction`.
+    """
     homography, by_motion = homography_and_slope(state, problem.model)
     sums, rows = [], []
     for group, near_line in _groups(problem.image):
@@ -163,7 +194,10 @@ def predict_image(problem: ImageProblem, state: ImageState) -> ArrowEquations:
 
 
 def weigh_image(problem: ImageProblem, state: ImageState, prediction: Prediction) -> ArrowEquations:
-    """Equations of all unknowns at a state, from an existing prediction."""
+    """Build the normal equations of all unknowns from an existing prediction.
+
+    This is sufficient if only weights or noise have changed since the prediction at the same state.
+    """
     predicted = prediction.near_circles, prediction.near_lines
     sums = [
         _sum_pixels(problem, state, group, rows)[0]
@@ -173,12 +207,23 @@ def weigh_image(problem: ImageProblem, state: ImageState, prediction: Prediction
 
 
 def _groups(image: ImageData) -> tuple[tuple[Group, bool], tuple[Group, bool]]:
-    """Both groups of pixels, each with a flag: True for pixels near lines."""
+    """Both groups of pixels, each with a flag that is True for the pixels near lines."""
     return (image.near_circles, False), (image.near_lines, True)
 
 
 class _Sums(NamedTuple):
-    """Sums over pixels: w J^T J with J = (rows, residual), the same by blocks, and the cost."""
+    """Weighted sums over pixels for the normal equations.
+
+    J contains the derivatives of a pixel with respect to the homography and to the other unknowns,
+    and its residual.
+
+    Attributes
+    ----------
+    products : sum of w J^T J, with k columns in J.
+    of_blocks : per block, sum of w L^T (L, J), where L contains the derivatives with respect to the
+        block's six local levels.
+    cost : sum of the robust loss.
+    """
 
     products: Float[ArrayLike, "k k"]
     of_blocks: Float[ArrayLike, "b 6 l"]
@@ -191,9 +236,9 @@ def _sum_pixels(
     group: Group,
     rows: PixelRows | Callable[[Group], PixelRows],
 ) -> tuple[_Sums, PixelRows]:
-    """Sums over the pixels of a group, and their predictions.
+    """Weighted sums over the pixels of a group, and the predictions of these pixels.
 
-    rows : existing predictions, or a function that computes them for a chunk.
+    rows : existing predictions, or a function that computes the predictions of a chunk.
     """
     dtype, single = state.values.dtype, group.pixels.grey.dtype
     count, size = len(group.pixels.grey) // CHUNK, 9 + state.unknowns.size
@@ -260,9 +305,11 @@ def _equations(
     sums: list[_Sums],
     by_motion: Float[ArrayLike, "9 p"],
 ) -> ArrowEquations:
-    """Equations for steps of (pose, values) and of the local levels, with priors.
+    """Normal equations for steps of the pose, the other unknowns and the local levels, with priors.
 
-    sums : sums of both groups, by the homography instead of the pose.
+    sums : sums of both groups, with derivatives with respect to the homography in place of the
+        pose.
+    by_motion : derivative of the homography with respect to a step of the pose.
     """
     # From (homography, values, residual) to (pose, values, residual).
     identity = jnp.eye(state.unknowns.size + 1, dtype=by_motion.dtype)
@@ -288,7 +335,14 @@ def _equations(
 def homography_and_slope(
     state: ImageState, model: PoseModel
 ) -> tuple[Float[ArrayLike, "3 3"], Float[ArrayLike, "9 p"]]:
-    """Homography from the camera to the sheet, and its derivative by a step of the pose."""
+    """Homography from the camera to the sheet, and its derivative with respect to the pose.
+
+    Lengths in a step of the pose are in units of `step_unit_mm`.
+
+    Returns
+    -------
+    (3, 3) homography, and (9, p) derivatives of its elements.
+    """
     pose = state.pose
 
     def after(motion: Float[ArrayLike, "p"]) -> Float[ArrayLike, "9"]:
@@ -302,7 +356,15 @@ def homography_and_slope(
 def local_rows(
     by_local: Float[ArrayLike, "2 n"], basis: Float[ArrayLike, "n 3"]
 ) -> Float[ArrayLike, "6 n"]:
-    """Derivatives of each pixel's grey level by the six local levels of its block."""
+    """Derivatives of each pixel's grey level with respect to the six local levels of its block.
+
+    The local levels are the coefficients of 1, x, y of the block's light and of its veil.
+
+    Parameters
+    ----------
+    by_local : (2, n) derivatives with respect to the local light and the local veil at the pixel.
+    basis : (n, 3) values 1, x, y of each pixel in its block; see `LocalPixels`.
+    """
     return (by_local[:, None] * basis.T[None]).reshape(LOCAL_TERMS, -1)
 
 
@@ -314,15 +376,24 @@ def pixel_rows(
     drawing: InkDrawing,
     near_line: bool,
 ) -> PixelRows:
-    """Predicted grey levels before saturation, and their derivatives, in the pixels' float type.
+    """Predict grey levels before saturation, with derivatives.
 
-    near_line : True for pixels near a line. They are modelled with lines and circles, the others
-    with circles only.
+    The results have the precision of the pixel arrays.
+
+    Parameters
+    ----------
+    homography : (3, 3) homography from rays in the camera frame to the sheet.
+    state : values of the unknowns.
+    group : the pixels.
+    image : constants of the image.
+    drawing : properties of the sheet.
+    near_line : True for pixels near a line, whose model contains lines and circles. The model of
+        other pixels contains circles only.
     """
     pixels, unknowns = group.pixels, state.unknowns
     single = pixels.grey.dtype
-    shared = homography, state, image.cross, image.white
-    plane, rounded, cross, white = jax.tree.map(lambda leaf: jnp.asarray(leaf, single), shared)
+    arguments = homography, state, image.cross, image.white
+    plane, rounded, cross, white = jax.tree.map(lambda leaf: jnp.asarray(leaf, single), arguments)
     terms = light_terms(pixels.position.T, max(unknowns.light_terms, unknowns.veil_terms))
     light_basis, veil_basis = terms[: unknowns.light_terms], terms[: unknowns.veil_terms]
     polynomial, veil = rounded.light @ light_basis, rounded.veil @ veil_basis
@@ -354,7 +425,13 @@ def pixel_rows(
 
 
 def light_terms(position: Float[ArrayLike, "2 n"], count: int) -> Float[ArrayLike, "m n"]:
-    """First `count` monomials of a polynomial in (x, y), lower degrees first."""
+    """First `count` monomials of (x, y), (count, n), in the order 1, x, y, x^2, x y, y^2, ...
+
+    Parameters
+    ----------
+    position : (2, n) values x and y.
+    count : number of monomials.
+    """
     x, y = position
     math = array_namespace(position)
     degree, terms = [math.ones_like(x)], [math.ones_like(x)]

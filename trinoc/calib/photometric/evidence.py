@@ -44,28 +44,28 @@ OF_RESPONSE = ("bend", "contrast", "lift")
 def find_refuted_part(
     scene: PixelScene, fit_state: ImageFitState
 ) -> Literal["nothing", "noise", "model"]:
-    """Test the fit of an ideal camera.
+    """Test whether the ideal camera model describes an image, by the residuals of its fit.
 
     Parameters
     ----------
-    scene : constants of the fit.
+    scene : pixels and constants of the fit.
     fit_state : end of the fit of an ideal camera.
 
     Returns
     -------
     "nothing" if the ideal camera is sufficient, "noise" if the noise depends on the grey level,
-    "model" if the camera model is wrong.
+    "model" if the camera needs further unknowns.
     """
     inliers, residual = fit_state.inliers, fit_state.level - scene.grey
     light = scene.polynomial_light(fit_state.state)
     share = (fit_state.level / light - 1) / float(fit_state.state["ratio"])
-    position = np.stack([scene.chosen.column, scene.chosen.row], axis=1)[inliers]
-    r, share = residual[inliers], share[inliers]
+    position = np.stack([scene.pixels.column, scene.pixels.row], axis=1)[inliers]
+    inlier_residual, share = residual[inliers], share[inliers]
     # Saturated pixels excluded by the gate belong to glare.
     tuning = scene.tuning
     if np.isfinite(saturation_level(scene.grey[inliers], tuning.piled_share)):
         return "model"
-    variance = float(np.mean(r**2))
+    variance = float(np.mean(inlier_residual**2))
     if 0 < tuning.largest_variance_ratio * scene.noise_floor**2 < variance:
         return "model"
     grid = scene.grid
@@ -74,27 +74,27 @@ def find_refuted_part(
     bins = np.clip((share * _SHARE_BINS).astype(int), 0, _SHARE_BINS - 1)
     near_line = (np.arange(len(inliers)) >= scene.counts[0])[inliers]
     by_share = bins + _SHARE_BINS * near_line
-    if _has_bin_means(r, by_share, tuning):
+    if _has_bin_means(inlier_residual, by_share, tuning):
         return "model"
     size = np.ptp(position, axis=0) + 1
     column, row = ((position - position.min(axis=0)) * _POSITION_BINS // size).T
     paper = tuning.flat_share
     flat = np.where(share < paper, 0, np.where(share > 1 - paper, 1, 2))
     by_position = (column * _POSITION_BINS + row) * 3 + flat
-    if _has_bin_means(r[flat < 2], by_position[flat < 2], tuning):
+    if _has_bin_means(inlier_residual[flat < 2], by_position[flat < 2], tuning):
         return "model"
-    if _width_depends_on_direction(scene.grey, grid, share, inliers, r, tuning):
+    if _width_depends_on_direction(scene.grey, grid, share, inliers, inlier_residual, tuning):
         return "model"
-    return "nothing" if _has_constant_variance(r, bins, tuning) else "noise"
+    return "nothing" if _has_constant_variance(inlier_residual, bins, tuning) else "noise"
 
 
 class ImageEvidence(NamedTuple):
-    """Result of `find_evidence`.
+    """Unknowns that the residuals of an image require in addition; result of `find_evidence`.
 
-    Fields
-    ------
-    free : (k,) mask of the unknowns to free.
-    uneven_light : True if blocks need their own light.
+    Attributes
+    ----------
+    free : (k,) mask of fixed unknowns that must be estimated.
+    uneven_light : True if each block of the sheet needs its own light.
     """
 
     free: Bool[np.ndarray, "k"]
@@ -102,9 +102,15 @@ class ImageEvidence(NamedTuple):
 
 
 def find_evidence(scene: PixelScene, fit_state: ImageFitState) -> ImageEvidence:
-    """Score tests of all groups of fixed unknowns, and a test for uneven light.
+    """Test which fixed unknowns the residuals of an image require.
 
-    The variance of the scores allows for correlated residuals.
+    Each group of fixed unknowns has a score test. A further test detects uneven light. The variance
+    of the scores includes the correlation of the residuals.
+
+    Parameters
+    ----------
+    scene : pixels and constants of the fit.
+    fit_state : fit with its normal equations.
     """
     size = scene.model.size
     residual, sigma = fit_state.residual(scene)
@@ -116,7 +122,7 @@ def find_evidence(scene: PixelScene, fit_state: ImageFitState) -> ImageEvidence:
     needed = np.zeros(len(fit_state.free), dtype=bool)
     matrix, gradient, _ = fit_state.normal_equations()
     for name, members in GROUPS.items():
-        if scene.bend is not None and name in OF_RESPONSE:
+        if scene.response_bend is not None and name in OF_RESPONSE:
             continue
         group = size + np.array(FULL.indices(*members))
         required = size + np.array(FULL.indices(*_NEEDS.get(name, ())), dtype=int)
@@ -141,9 +147,11 @@ def _has_score(
     spread: float,
     evidence: float,
 ) -> bool:
-    """True if the score of a group of fixed unknowns is significant.
+    """True if the score test of a group of fixed unknowns is significant.
 
-    group : indices of the group. spread : variance of the scores over that of white noise.
+    group : indices of the group's unknowns.
+    spread : variance of the scores divided by that for uncorrelated noise.
+    evidence : required decrease of chi-square beyond the number of unknowns.
     """
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     matrix, gradient = matrix * scale[:, None] * scale, gradient * scale
@@ -163,7 +171,11 @@ def _has_block_means(
     inliers: Bool[np.ndarray, "n"],
     spread: float,
 ) -> bool:
-    """True if the mean residuals of the blocks are significant."""
+    """True if the mean residuals of the blocks of the sheet differ significantly from 0.
+
+    residual : (n,) residuals divided by their standard deviations; 0 for outliers.
+    spread : variance of a mean divided by that for uncorrelated noise.
+    """
     blocks = scene.blocks
     assert blocks is not None
     count = np.bincount(blocks.of_pixel, inliers, minlength=blocks.count)
@@ -173,42 +185,48 @@ def _has_block_means(
 
 
 def _has_bin_means(
-    r: Float[np.ndarray, "n"], label: Int[np.ndarray, "n"], tuning: PhotometricTuning
+    residual: Float[np.ndarray, "n"], bin_index: Int[np.ndarray, "n"], tuning: PhotometricTuning
 ) -> bool:
-    """True if the mean residuals of the bins `label` are significant."""
-    count = np.bincount(label)
-    mean = np.bincount(label, r) / np.maximum(count, 1)
-    spread = np.bincount(label, r**2) / np.maximum(count, 1)
+    """True if the mean residuals of bins differ significantly from 0.
+
+    bin_index : (n,) bin of each residual.
+    """
+    count = np.bincount(bin_index)
+    mean = np.bincount(bin_index, residual) / np.maximum(count, 1)
+    spread = np.bincount(bin_index, residual**2) / np.maximum(count, 1)
     enough = count >= tuning.fewest_pixels
     statistic = np.sum(count[enough] * mean[enough] ** 2 / np.maximum(spread[enough], 1e-12))
     return _is_large(statistic, int(enough.sum()), tuning)
 
 
 def _has_constant_variance(
-    r: Float[np.ndarray, "n"], bins: Int[np.ndarray, "n"], tuning: PhotometricTuning
+    residual: Float[np.ndarray, "n"], bins: Int[np.ndarray, "n"], tuning: PhotometricTuning
 ) -> bool:
-    """True if paper, ink and edges have nearly the same variance.  bins : by share of ink."""
+    """True if the residuals on paper, on ink and on edges have nearly the same variance.
+
+    bins : (n,) bin of each residual by the share of ink in the pixel.
+    """
     variance = [
-        float(np.mean(r[chosen] ** 2))
-        for chosen in (bins == 0, bins == _SHARE_BINS - 1, (bins > 3) & (bins < _SHARE_BINS - 4))
-        if chosen.sum() >= 10 * tuning.fewest_pixels
+        float(np.mean(residual[mask] ** 2))
+        for mask in (bins == 0, bins == _SHARE_BINS - 1, (bins > 3) & (bins < _SHARE_BINS - 4))
+        if mask.sum() >= 10 * tuning.fewest_pixels
     ]
     return not variance or max(variance) <= tuning.largest_variance_ratio * min(variance)
 
 
 def _neighbours_are_correlated(
     grid: PixelGrid,
-    r: Float[np.ndarray, "n"],
+    residual: Float[np.ndarray, "n"],
     inliers: Bool[np.ndarray, "n"],
     largest_correlation: float,
 ) -> bool:
-    """True if the residuals of neighbouring pixels are correlated."""
-    variance = np.sum(r**2) / max(inliers.sum(), 1)
+    """True if the correlation of neighbouring residuals exceeds `largest_correlation`."""
+    variance = np.sum(residual**2) / max(inliers.sum(), 1)
     for down, right in [(0, 1), (1, 0), (1, 1), (0, 2), (2, 0)]:
         here, there = grid.pairs(down, right)
         pairs = max(np.count_nonzero(inliers[here] & inliers[there]), 1)
-        shared = float(r[here] @ r[there]) / pairs / max(variance, 1e-12)
-        if abs(shared) > largest_correlation + 3 / np.sqrt(pairs):
+        covariance = float(residual[here] @ residual[there]) / pairs / max(variance, 1e-12)
+        if abs(covariance) > largest_correlation + 3 / np.sqrt(pairs):
             return True
     return False
 
@@ -218,13 +236,18 @@ def _width_depends_on_direction(
     grid: PixelGrid,
     share: Float[np.ndarray, "m"],
     inliers: Bool[np.ndarray, "n"],
-    r: Float[np.ndarray, "m"],
+    residual: Float[np.ndarray, "m"],
     tuning: PhotometricTuning,
 ) -> bool:
-    """True if the width of edges depends on their direction.
+    """True if the blur of edges depends significantly on the direction of the edges.
 
-    A wider edge has residuals of opposite sign on its two sides. The test correlates residuals with
-    the sign of share - 1/2, times cosine and sine of twice the angle of the gradient.
+    At an edge that is wider than predicted, the residuals have opposite signs on the two sides. The
+    test correlates the residuals with this sign times cosine and sine of twice the angle of the
+    gradient.
+
+    grey : (n,) grey levels of all pixels.
+    share : (m,) share of ink in each inlier pixel.
+    residual : (m,) residuals of the inlier pixels.
     """
     sides = (0, 1), (0, -1), (1, 0), (-1, 0)
     neighbours = [grid.neighbours(down, right) for down, right in sides]
@@ -236,13 +259,16 @@ def _width_depends_on_direction(
     side = np.where(share > 0.5, 1.0, -1.0) * usable * (np.abs(share - 0.5) > tuning.flat_share)
     even, odd = side * (u * u - v * v) / length, side * 2 * u * v / length
     statistic = sum(
-        float(np.sum(r * wave)) ** 2 / max(float(np.sum((r * wave) ** 2)), 1e-12)
+        float(np.sum(residual * wave)) ** 2 / max(float(np.sum((residual * wave) ** 2)), 1e-12)
         for wave in (even, odd)
     )
     return _is_large(statistic, 2, tuning)
 
 
 def _is_large(statistic: float, freedom: int, tuning: PhotometricTuning) -> bool:
-    """True if a chi-square statistic is significant (once in 10^7 by chance)."""
+    """True if a chi-square statistic exceeds what happens by chance once in 10^7.
+
+    freedom : degrees of freedom.
+    """
     limit = freedom + tuning.chi_square_sigmas * np.sqrt(2 * max(freedom, 1)) + tuning.evidence
     return bool(statistic > limit)

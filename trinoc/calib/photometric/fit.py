@@ -22,7 +22,7 @@ from trinoc.calib.photometric.gate import (
     robust_sigma,
 )
 from trinoc.calib.photometric.noise import noise_by_level
-from trinoc.calib.photometric.pixel_selection import PARTS
+from trinoc.calib.photometric.pixel_selection import SUBSETS
 from trinoc.calib.photometric.scene import PixelScene
 from trinoc.calib.photometric.unknowns import (
     FULL,
@@ -35,7 +35,7 @@ from trinoc.calib.problem.solver import ArrowEquations, Solution
 from trinoc.geometry.pose import Pose
 from trinoc.numerics.block_arrow import BlockArrow
 from trinoc.numerics.precision import as_numpy
-from trinoc.numerics.programs import one_compiles
+from trinoc.numerics.programs import compile_once
 from trinoc.numerics.robust_loss import GemanMcClure
 
 # numerical: initial noise as a share of the contrast.
@@ -51,7 +51,7 @@ _IDEAL_STEPS, _GATES, _FIRST_STEPS, _MORE_STEPS, _LAST_STEPS = 8, 3, 5, 5, 3
 # numerical: rounds of freeing unknowns; a round ends early if no more are needed.
 _ROUNDS = 2
 # numerical: initial level of saturated paper, as a multiple of the saturation level.
-_BLINDED = 1.15
+_SATURATED_PAPER = 1.15
 # numerical: largest share of ink and fewest pixels for the initial light of a block.
 _PAPER_SHARE, _FEWEST_PIXELS = 0.03, 10
 
@@ -59,12 +59,17 @@ _PAPER_SHARE, _FEWEST_PIXELS = 0.03, 10
 def fit_ideal_camera(
     scene: PixelScene, guess: ImageState
 ) -> tuple[ImageFitState, ImageFitState] | None:
-    """Fit the ideal camera to an image.
+    """Fit the ideal camera model to an image: linear response, Gaussian blur, quadratic light.
+
+    Parameters
+    ----------
+    scene : pixels and constants of the fit.
+    guess : initial values of the unknowns.
 
     Returns
     -------
-    State after the robust steps, and state after the least-squares steps. None if too few inlier
-    pixels remain.
+    Result after the robust steps, and result after the least-squares steps. None if there are not
+    more inlier pixels than unknowns.
     """
     size = scene.model.size
     all_unknowns = np.ones(size + IDEAL.size, dtype=bool)
@@ -74,40 +79,46 @@ def fit_ideal_camera(
     free = np.tile(all_unknowns, (len(scales), 1))
     spread, light = size + IDEAL.indices("spread_mm")[0], size + IDEAL.light[0]
     free[:2, spread] = free[0, light + 1 :] = free[1, light + 3 :] = False
-    robust = _take_robust_steps(scene, guess, scales, free, stride=PARTS)
+    robust = _take_robust_steps(scene, guess, scales, free, stride=SUBSETS)
     residual = robust.level - scene.grey
     # Lower limit of the noise for noiseless images: the contrast over 1000.
     noise = max(robust_sigma(residual, 0.1 * guess.contrast), guess.contrast / 1000)
     sigma = np.full(len(residual), noise)
-    inliers = gate_by_sigma(scene.chosen, residual, sigma, scene.tuning)
+    inliers = gate_by_sigma(scene.pixels, residual, sigma, scene.tuning)
     if inliers.sum() <= len(all_unknowns):
         return None
     return robust, refit_ideal_camera(scene, robust.with_pixels(sigma=sigma, inliers=inliers))
 
 
 def refit_ideal_camera(scene: PixelScene, fit_state: ImageFitState) -> ImageFitState:
-    """Fit the ideal camera by least squares to the inlier pixels, weighted by their noise."""
+    """Fit the ideal camera by least squares to the inlier pixels, weighted by their noise.
+
+    Parameters
+    ----------
+    scene : pixels and constants of the fit.
+    fit_state : previous fit of the ideal camera, with the noise and the inliers to use.
+    """
     return _take_steps(scene, fit_state, _IDEAL_STEPS, _IDEAL_GAIN)
 
 
 def fit_full_camera(
     scene: PixelScene, ideal: ImageState, circles: Pose
 ) -> tuple[PixelScene, ImageFitState] | None:
-    """Fit the full camera model, with the unknowns that the image needs.
+    """Fit the full camera model. Only unknowns that the image requires are estimated.
 
     Parameters
     ----------
-    scene : constants of the fit, with blocks.
-    ideal : fit of the ideal camera after its robust steps.
-    circles : pose from the circles, the initial pose if the paper is saturated.
+    scene : pixels and constants of the fit, with the blocks of the sheet.
+    ideal : values of the ideal camera after its robust steps.
+    circles : pose from the circle centres. It is the initial pose if the paper is saturated.
 
     Returns
     -------
-    The scene, with local light if that is needed, and the end of the fit. None if there are fewer
-    inlier pixels than unknowns.
+    The scene, in which each block has its own light if the image requires it, and the end of the
+    fit. None if there are not more inlier pixels than unknowns.
     """
-    part, size = scene.first(PARTS), scene.model.size
-    first = [name for name in FIRST if scene.bend is None or name not in OF_RESPONSE]
+    part, size = scene.first(SUBSETS), scene.model.size
+    first = [name for name in FIRST if scene.response_bend is None or name not in OF_RESPONSE]
     free = np.zeros(size + FULL.size, dtype=bool)
     free[:size] = free[_ideal_camera_columns(size)] = free[
         [size + k for k in FULL.indices(*first)]
@@ -134,14 +145,14 @@ def fit_full_camera(
 
 
 def _fit_all_pixels(scene: PixelScene, fit_state: ImageFitState) -> ImageFitState:
-    """Last part of the fit, with all pixels: outliers, noise, last steps."""
+    """Exclude outliers, estimate the noise and take the last steps of the fit, with all pixels."""
     fit_state = _exclude_outliers(
         scene, _evaluate(scene, fit_state.state, fit_state.free), rounds=1
     )
     fit_state = _take_steps(scene, fit_state, 1)
     residual, sigma = fit_state.residual(scene)
     inliers = remove_correlated_neighbourhoods(
-        scene.chosen, residual / sigma, fit_state.inliers, scene.tuning
+        scene.pixels, residual / sigma, fit_state.inliers, scene.tuning
     )
     fit_state = fit_state.with_pixels(sigma=fit_state.sigma, inliers=inliers)
     for _ in range(_ROUNDS):
@@ -157,20 +168,23 @@ def _fit_all_pixels(scene: PixelScene, fit_state: ImageFitState) -> ImageFitStat
 
 
 def _ideal_camera_columns(pose_size: int) -> list[int]:
-    """Indices, among (pose, values) of the full model, of the unknowns of the ideal camera."""
+    """Indices of the ideal camera's unknowns in the vector of pose and values of the full model."""
     return [*range(pose_size), *(pose_size + int(k) for k in FULL.ideal_camera_indices)]
 
 
 def _initial_full_state(scene: PixelScene, ideal: ImageState, circles: Pose) -> ImageState:
-    """Initial state of the full model, from the fit of the ideal camera or from the circles."""
+    """Initial values of the full model: those of the fitted ideal camera.
+
+    If the paper is saturated, the initial values are a bright paper and the pose `circles`.
+    """
     paper, ratio = float(ideal.light[0]), float(ideal["ratio"])
     state = full_state(ideal, scene.tuning)
     values = np.array(state.values)
-    values[FULL.indices("bend")] = scene.bend or 0.0
+    values[FULL.indices("bend")] = scene.response_bend or 0.0
     pose = state.pose
     if _is_saturated(scene, paper):
         # The ideal camera confuses saturation with the level of the paper: discard its fit.
-        brighter = _BLINDED * scene.top
+        brighter = _SATURATED_PAPER * scene.top
         values[FULL.light] = 0.0
         values[FULL.light[0]] = brighter
         values[FULL.indices("ratio", "spread_mm")] = paper * (1 + ratio) / brighter - 1, 0.0
@@ -183,7 +197,10 @@ def _is_saturated(scene: PixelScene, paper: float) -> bool:
 
 
 def _with_local_light(scene: PixelScene, state: ImageState) -> ImageState:
-    """Add local light to a state, initially the median level of each block's paper."""
+    """Copy of a state in which each block of the sheet has its own light.
+
+    Its initial value is the median level of the block's paper.
+    """
     blocks = scene.blocks
     assert blocks is not None
     levels = np.zeros((LOCAL_TERMS, blocks.count))
@@ -201,11 +218,14 @@ def _with_local_light(scene: PixelScene, state: ImageState) -> ImageState:
 def _fit_robustly(
     scene: PixelScene, state: ImageState, free: Bool[np.ndarray, "k"]
 ) -> ImageFitState:
-    """First part of the fit: robust steps, exclusion of outliers, first least-squares steps."""
+    """First part of the fit: robust steps, exclusion of outlier pixels, first least-squares steps.
+
+    free : mask of the estimated unknowns.
+    """
     tuning = scene.tuning
     scales = tuning.scales
     if _is_saturated(scene, float(state.light[0])):
-        scales = (*tuning.blinded_scales, *scales)
+        scales = (*tuning.saturated_scales, *scales)
     ideal_only = np.zeros(len(free), dtype=bool)
     ideal_only[_ideal_camera_columns(scene.model.size)] = True
     # The first steps estimate only the unknowns of an ideal camera.
@@ -217,10 +237,13 @@ def _fit_robustly(
 def _exclude_outliers(
     scene: PixelScene, fit_state: ImageFitState, rounds: int = _GATES
 ) -> ImageFitState:
-    """Estimate the noise and exclude outlier pixels, with a step of the fit between the rounds."""
+    """Estimate the noise and exclude outlier pixels, `rounds` times.
+
+    A least-squares step follows each round except the last.
+    """
     fit_state = _with_noise(scene, fit_state, robust=True)
     for k in range(rounds):
-        inliers = gate_by_sigma(scene.chosen, *fit_state.residual(scene), scene.tuning)
+        inliers = gate_by_sigma(scene.pixels, *fit_state.residual(scene), scene.tuning)
         fit_state = fit_state.with_pixels(sigma=fit_state.sigma, inliers=inliers)
         fit_state = _with_noise(scene, fit_state, robust=True)
         if k + 1 < rounds:
@@ -231,7 +254,10 @@ def _exclude_outliers(
 def _with_noise(
     scene: PixelScene, fit_state: ImageFitState, *, robust: bool = False
 ) -> ImageFitState:
-    """Replace the noise by an estimate from the residuals of the inliers."""
+    """Copy of a fit whose noise is estimated from the residuals of the inliers.
+
+    robust : True to use medians, while inliers may still contain outliers.
+    """
     residual, scale = fit_state.residual(scene)[0], scene.noise_scale
     sigma = noise_by_level(
         fit_state.level,
@@ -247,12 +273,17 @@ def _with_noise(
 def _initial_pixels(
     scene: PixelScene, state: ImageState
 ) -> tuple[Bool[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Initial mask of inliers (all pixels), and initial noise of each pixel."""
+    """Initial mask of the inliers (all pixels) and initial sigma of each pixel, grey levels."""
     return np.ones(len(scene.grey), dtype=bool), _FIRST_NOISE * state.contrast * scene.noise_scale
 
 
 def _evaluate(scene: PixelScene, state: ImageState, free: Bool[np.ndarray, "k"]) -> ImageFitState:
-    """Evaluate the model at a state, with all pixels and their initial noise."""
+    """Predict all pixels at the values of a state, without a step.
+
+    All pixels are inliers and have their initial noise.
+
+    free : mask of the estimated unknowns.
+    """
     inliers, sigma = _initial_pixels(scene, state)
     problem = _problem(scene, state, sigma, inliers / sigma, free)
     start = _empty_equations(state, len(free))
@@ -261,7 +292,12 @@ def _evaluate(scene: PixelScene, state: ImageState, free: Bool[np.ndarray, "k"])
 
 
 def _empty_equations(state: ImageState, size: int) -> ArrowEquations:
-    """Equations whose step is zero and always accepted, so that it only evaluates the model."""
+    """Normal equations whose step is zero and always accepted.
+
+    A descent that starts with them only evaluates the model at the initial state.
+
+    size : number of unknowns of the pose and the image.
+    """
     blocks = state.levels.shape[1]
     arrow = BlockArrow(
         np.zeros((size, size)),
@@ -280,15 +316,15 @@ def _take_robust_steps(
     free: Bool[np.ndarray, "s k"],
     stride: int = 1,
 ) -> ImageFitState:
-    """Take one step at each scale of the robust loss, without a test of its gain.
+    """Take one step at each scale of the robust loss, without a test that the cost decreases.
 
     Parameters
     ----------
-    scene : constants of the fit.
-    state : initial state.
-    scales : scales of the loss, as shares of the contrast.
-    free : (s, k) estimated unknowns in each step.
-    stride : the steps use the first 1/stride of the pixels; only the final state is evaluated at
+    scene : pixels and constants of the fit.
+    state : initial values of the unknowns.
+    scales : scales of the loss, as fractions of the contrast between paper and ink.
+    free : (s, k) mask of the estimated unknowns in each step.
+    stride : the steps use the first 1/stride of the pixels. Only the final state is evaluated at
         all pixels.
     """
     inliers, sigma = _initial_pixels(scene, state)
@@ -315,7 +351,10 @@ def _take_robust_steps(
 def _take_steps(
     scene: PixelScene, fit_state: ImageFitState, most_steps: int, atol: float = _SMALL_GAIN
 ) -> ImageFitState:
-    """Take least-squares steps with fixed noise and inliers."""
+    """Take least-squares steps with the current noise and inliers.
+
+    atol : the steps end if the predicted decrease of chi-square is smaller.
+    """
     fit_state = _with_equations(scene, fit_state)
     assert fit_state.equations is not None
     problem = _problem(
@@ -325,12 +364,15 @@ def _take_steps(
         scene, problem, fit_state.state, fit_state.equations, _FIRST_DAMPING, most_steps, atol
     )
     if not solution.steps:
-        return dataclasses.replace(fit_state, promised=float(solution.predicted_gain))
+        return dataclasses.replace(fit_state, predicted_gain=float(solution.predicted_gain))
     return _state_after(scene, solution, fit_state.free, fit_state.sigma, fit_state.inliers)
 
 
 def _with_equations(scene: PixelScene, fit_state: ImageFitState) -> ImageFitState:
-    """Add the normal equations for the current noise and inliers, if they are missing."""
+    """Copy of a fit with normal equations for its current noise and inliers.
+
+    Existing equations are not computed again.
+    """
     if fit_state.equations is not None:
         return fit_state
     problem = _problem(
@@ -341,7 +383,7 @@ def _with_equations(scene: PixelScene, fit_state: ImageFitState) -> ImageFitStat
 
 
 def _weight(scene: PixelScene, fit_state: ImageFitState) -> Float[np.ndarray, "n"]:
-    """Reciprocal of the standard deviation of each pixel's residual; 0 for outliers."""
+    """Reciprocal standard deviation of each pixel's residual, (n,); 0 for outliers."""
     sigma = fit_state.sigma if fit_state.state.unknowns.is_ideal else fit_state.residual(scene)[1]
     return fit_state.inliers / sigma
 
@@ -353,7 +395,12 @@ def _problem(
     weight: Float[np.ndarray, "n"],
     free: Bool[np.ndarray, "k"],
 ) -> ImageProblem:
-    """Least-squares problem of all pixels."""
+    """Least-squares problem of all pixels, with a loss that is not robust.
+
+    sigma : (n,) standard deviation of the noise before saturation.
+    weight : (n,) reciprocal standard deviation of the residual; 0 for outliers.
+    free : (k,) mask of the estimated unknowns.
+    """
     return ImageProblem(
         scene.image_data(state.unknowns, weight, sigma),
         GemanMcClure(np.asarray(np.inf)),
@@ -373,10 +420,10 @@ def _descend(
     most_steps: int,
     atol: float = 0.0,
 ) -> Solution[ImageState]:
-    """Run the compiled descent."""
+    """Run the compiled descent; only one thread compiles it."""
     size, static = len(scene.groups[0].pixels.grey), (scene.drawing, scene.model)
     arguments = np.asarray(damping), np.asarray(most_steps), np.asarray(atol)
-    with one_compiles("run_fit", *static, size, state.unknowns, state.levels.shape):
+    with compile_once("run_fit", *static, size, state.unknowns, state.levels.shape):
         return run_fit(problem, state, start, *arguments)
 
 
@@ -387,7 +434,10 @@ def _state_after(
     sigma: Float[np.ndarray, "n"],
     inliers: Bool[np.ndarray, "n"],
 ) -> ImageFitState:
-    """State of the fit after steps. If the last step was rejected, the model is evaluated again."""
+    """Fit after a descent.
+
+    If the last step was rejected, the model is evaluated again at the final state.
+    """
     state = jax.tree.map(np.asarray, solution.state)
     if not solution.has_details:
         fit = _evaluate(scene, state, free)
@@ -395,6 +445,6 @@ def _state_after(
     prediction: Prediction = solution.details.details
     level = scene.join((prediction.near_circles.level, prediction.near_lines.level))
     equations = jax.tree.map(np.asarray, solution.details._replace(details=None))
-    promised = float(solution.predicted_gain)
+    predicted_gain = float(solution.predicted_gain)
     level = level.astype(np.float64)
-    return ImageFitState(state, free, prediction, level, sigma, inliers, equations, promised)
+    return ImageFitState(state, free, prediction, level, sigma, inliers, equations, predicted_gain)

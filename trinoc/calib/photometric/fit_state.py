@@ -14,19 +14,18 @@ from trinoc.calib.problem.solver import ArrowEquations
 
 
 class ImageFitState(eqx.Module):
-    """Unknowns of one image, its predicted pixels, and their noise.
+    """Values of the unknowns of one image during its fit, the predicted pixels, and their noise.
 
-    Fields
-    ------
+    Attributes
+    ----------
     state : values of all unknowns.
-    free : (p + k,) mask of the estimated unknowns among (pose, values).
+    free : (p + k,) mask of the estimated unknowns: p of the pose, then k of the image.
     prediction : predicted pixels and derivatives at `state`.
     level : (n,) predicted grey levels before saturation.
-    sigma : (n,) standard deviation of the noise of each pixel before saturation.
+    sigma : (n,) standard deviation of the noise of each pixel before saturation, grey levels.
     inliers : (n,) mask of the pixels that show the sheet.
-    equations : least-squares equations of all unknowns from the inliers; None until they are
-        needed.
-    promised : predicted gain of chi-square by the next step.
+    equations : normal equations of all unknowns from the inliers; None until they are needed.
+    predicted_gain : decrease of chi-square by the next step, predicted by the linearised model.
     """
 
     state: ImageState
@@ -36,23 +35,26 @@ class ImageFitState(eqx.Module):
     sigma: Float[np.ndarray, "n"]
     inliers: Bool[np.ndarray, "n"]
     equations: ArrowEquations | None = None
-    promised: float = np.inf
+    predicted_gain: float = np.inf
 
     def with_pixels(
         self, *, sigma: Float[np.ndarray, "n"], inliers: Bool[np.ndarray, "n"] | None = None
     ) -> "ImageFitState":
-        """Copy with another noise, and with other inliers if given."""
+        """Copy with another noise of the pixels, and with other inliers if they are given."""
         inliers = self.inliers if inliers is None else inliers
         return dataclasses.replace(
-            self, sigma=sigma, inliers=inliers, equations=None, promised=np.inf
+            self, sigma=sigma, inliers=inliers, equations=None, predicted_gain=np.inf
         )
 
     def with_free(self, free: Bool[np.ndarray, "k"]) -> "ImageFitState":
         """Copy with another mask of estimated unknowns."""
-        return dataclasses.replace(self, free=free, promised=np.inf)
+        return dataclasses.replace(self, free=free, predicted_gain=np.inf)
 
     def residual(self, scene: PixelScene) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Predicted minus observed grey levels after saturation, and their standard deviation."""
+        """Residuals of all pixels and their standard deviations, grey levels.
+
+        A residual is the predicted level after saturation minus the observed level.
+        """
         if np.isinf(scene.top):
             return self.level - scene.grey, self.sigma
         clipped = clipped_moments(self.level, self.sigma, scene.saturation)
@@ -64,18 +66,28 @@ class ImageFitState(eqx.Module):
         return self.inliers & is_clear(self.level, self.sigma, scene.top, clear_sigmas)
 
     def rows(self, scene: PixelScene) -> Float[np.ndarray, "k n"]:
-        """Derivatives (k, n) of all pixels after saturation by the homography and by the values."""
+        """Derivatives of the grey levels of all pixels after saturation, (9 + k, n).
+
+        The first 9 rows are with respect to the elements of the homography, the other k with
+        respect to the unknowns of the image.
+        """
         rows = scene.join((self.prediction.near_circles.rows, self.prediction.near_lines.rows))
         return rows * self._slope(scene)
 
     def rows_by_local(self, scene: PixelScene) -> Float[np.ndarray, "2 n"]:
-        """Derivatives (2, n) of all pixels after saturation by local light and local veil."""
+        """Derivatives of all grey levels after saturation, (2, n).
+
+        They are with respect to the light and the veil of each pixel's block.
+        """
         near_circles, near_lines = self.prediction.near_circles, self.prediction.near_lines
         rows = scene.join((near_circles.by_local, near_lines.by_local))
         return rows * self._slope(scene)
 
     def _slope(self, scene: PixelScene) -> Float[np.ndarray, "n"] | np.float32:
-        """Derivative of the mean level after saturation by the level before it."""
+        """Derivative of the mean grey level after saturation.
+
+        It is with respect to the level before saturation.
+        """
         if self.state.unknowns.is_ideal or np.isinf(scene.top):
             return np.float32(1.0)
         return np.asarray(
@@ -85,12 +97,14 @@ class ImageFitState(eqx.Module):
     def normal_equations(
         self,
     ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k"], Float[np.ndarray, "b 6 k"]]:
-        """Normal equations of (pose, values) after elimination of all local levels.
+        """Normal equations of the pose and the image's unknowns, with all local levels eliminated.
+
+        The local levels describe the light and the veil of each block of the sheet.
 
         Returns
         -------
-        Matrix (k, k), gradient (k,), and derivative (b, 6, k) of the optimal local levels by the
-        unknowns.
+        Matrix (k, k) and gradient (k,) of the unknowns, and derivative (b, 6, k) of the optimal six
+        local levels of each block with respect to the unknowns.
         """
         assert self.equations is not None
         arrow, (of_head, of_blocks) = self.equations.information, self.equations.gradient

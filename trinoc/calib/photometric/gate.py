@@ -10,69 +10,88 @@ from trinoc.numerics.tails import MAD_TO_SIGMA
 
 
 def robust_sigma(residual: Float[np.ndarray, "n"], bound: float) -> float:
-    """Robust standard deviation of residuals by the median of those below `bound`, grey levels."""
+    """Standard deviation of residuals, estimated by the median of their absolute values.
+
+    Residuals of `bound` grey levels or more are ignored. Infinity if none is smaller.
+    """
     size = np.abs(residual)
     size = size[size < bound]
     return float(MAD_TO_SIGMA * np.median(size)) if len(size) else float("inf")
 
 
 def gate_by_sigma(
-    chosen: SelectedPixels,
+    pixels: SelectedPixels,
     residual: Float[np.ndarray, "n"],
     sigma: Float[np.ndarray, "n"],
     tuning: PhotometricTuning,
 ) -> Bool[np.ndarray, "n"]:
-    """Mask of the inliers, from residuals and noise.
+    """Mask of the inlier pixels, from their residuals and their noise.
 
-    Single large residuals are excluded, and neighbourhoods with a large share of outliers.
+    A pixel is excluded if its residual is very large, or if a large share of the pixels around it
+    are outliers.
 
     Parameters
     ----------
-    chosen : the pixels.
+    pixels : the pixels.
     residual, sigma : (n,) residuals and their standard deviations.
     tuning : constants of the fit.
     """
     size = np.abs(residual) / sigma
     outlier, lone = size > tuning.outlier_sigmas, size > tuning.lone_sigmas
-    return _remove_outlier_neighbourhoods(chosen, outlier, ~lone, tuning)
+    return _remove_outlier_neighbourhoods(pixels, outlier, ~lone, tuning)
 
 
 def remove_correlated_neighbourhoods(
-    chosen: SelectedPixels,
+    pixels: SelectedPixels,
     standard: Float[np.ndarray, "n"],
     inliers: Bool[np.ndarray, "n"],
     tuning: PhotometricTuning,
 ) -> Bool[np.ndarray, "n"]:
-    """Remove neighbourhoods whose mean residual is significant.
+    """Remove inliers whose square neighbourhood has a significant mean residual.
 
-    standard : (n,) residuals in standard deviations.
+    Parameters
+    ----------
+    pixels : the pixels.
+    standard : (n,) residuals divided by their standard deviations.
+    inliers : (n,) mask of the inliers.
+    tuning : constants of the fit.
+
+    Returns
+    -------
+    (n,) mask of the remaining inliers.
     """
-    total, count = _sum_neighbourhoods(chosen, tuning.neighbourhood_px, standard * inliers, inliers)
+    total, count = _sum_neighbourhoods(pixels, tuning.neighbourhood_px, standard * inliers, inliers)
     return inliers & (total**2 <= tuning.largest_common * np.maximum(count, 1))
 
 
 def _remove_outlier_neighbourhoods(
-    chosen: SelectedPixels,
-    wrong: Bool[np.ndarray, "n"],
+    pixels: SelectedPixels,
+    outlier: Bool[np.ndarray, "n"],
     inliers: Bool[np.ndarray, "n"],
     tuning: PhotometricTuning,
 ) -> Bool[np.ndarray, "n"]:
-    """Remove from `inliers` neighbourhoods with a large share of `wrong` pixels."""
-    if not wrong.any():
+    """Mask of the inliers without pixels whose square neighbourhood has a large share of outliers.
+
+    outlier : (n,) mask of the outliers.
+    """
+    if not outlier.any():
         return inliers
-    outliers, pixels = _sum_neighbourhoods(
-        chosen, tuning.neighbourhood_px, wrong, np.ones(len(wrong))
+    outliers, pixel_count = _sum_neighbourhoods(
+        pixels, tuning.neighbourhood_px, outlier, np.ones(len(outlier))
     )
-    return inliers & (outliers <= tuning.outlier_share * pixels)
+    return inliers & (outliers <= tuning.outlier_share * pixel_count)
 
 
 def _sum_neighbourhoods(
-    chosen: SelectedPixels, side_px: int, *fields: Float[np.ndarray, "n"] | Bool[np.ndarray, "n"]
+    pixels: SelectedPixels, side_px: int, *fields: Float[np.ndarray, "n"] | Bool[np.ndarray, "n"]
 ) -> Float[np.ndarray, "fields n"]:
-    """Sum of each field over the square neighbourhood of each pixel."""
-    first_column, first_row = chosen.column.min(), chosen.row.min()
-    shape = (chosen.row.max() - first_row + 1, chosen.column.max() - first_column + 1)
-    index = (chosen.row - first_row, chosen.column - first_column)
+    """Sum of each field over the square neighbourhood of each pixel, (fields, n).
+
+    side_px : side of the square.
+    """
+    first_column, first_row = pixels.column.min(), pixels.row.min()
+    shape = (pixels.row.max() - first_row + 1, pixels.column.max() - first_column + 1)
+    index = (pixels.row - first_row, pixels.column - first_column)
     sums = []
     for field in fields:
         image = np.zeros(shape, np.float32)

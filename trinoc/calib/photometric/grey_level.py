@@ -33,17 +33,20 @@ Scalar = Float[ArrayLike, ""]
 
 
 class Pixels(NamedTuple):
-    """Selected pixels of one image, along the first axis, with the constants of their model.
+    """Selected pixels of one image, with the constants of their model.
 
-    Fields
-    ------
+    The first axis of each array counts the n pixels.
+
+    Attributes
+    ----------
     ray : ray of each pixel in the camera frame.
-    position : (n, 2) (u, v) relative to the centre of the image, in half image widths.
+    position : (n, 2) pixel coordinates (u, v) relative to the image centre, in half image widths.
     grey : (n,) observed grey levels.
     weight : (n,) reciprocal standard deviation of the residual; 0 for padding and outliers.
-    sigma : (n,) standard deviation of the noise before saturation.
-    unit : (n,) 1 (see `SheetPoint`).
-    local_ink : the nearest circle, or the ink around the pixel for a board of squares.
+    sigma : (n,) standard deviation of the noise before saturation, grey levels.
+    unit : (n,) ones (see `SheetPoint`).
+    local_ink : circle nearest to each pixel, or the inked squares around each pixel of a board of
+        squares.
     """
 
     ray: Ray
@@ -56,13 +59,14 @@ class Pixels(NamedTuple):
 
 
 class Signal(NamedTuple):
-    """Ink and light at one pixel or many, from which the grey level follows.
+    """Ink and light at one pixel or at many pixels; the grey level is computed from them.
 
-    Fields
-    ------
-    sharp, soft : share of ink under the blur kernel, and under the wider kernel of sharpening.
-    light : grey level of paper.
-    veil : additional light, in grey levels of a linear camera.
+    Attributes
+    ----------
+    sharp : share of ink in the pixel under the blur kernel.
+    soft : share of ink under the wider kernel that a sharpening filter subtracts.
+    light : grey level of paper at the pixel.
+    veil : additional light on paper and ink alike, in grey levels of a linear camera.
     """
 
     sharp: Float[ArrayLike, "*n"]
@@ -72,7 +76,16 @@ class Signal(NamedTuple):
 
 
 class Tone(NamedTuple):
-    """Parameters of the reflectance, the response and the sharpening; see `unknowns`."""
+    """Parameters that convert a share of ink and a light to a grey level.
+
+    Attributes
+    ----------
+    ratio : grey level of ink divided by that of paper, minus 1.
+    bend : curvature of the camera's response (0 linear, 1 sRGB).
+    lift, contrast : coefficients of c (1 - c) and c (1 - c) (1 - 2 c) in the response, with c the
+        share of ink.
+    lobe : weight of the blurred image that sharpening subtracts.
+    """
 
     ratio: Scalar
     bend: Scalar
@@ -82,14 +95,15 @@ class Tone(NamedTuple):
 
 
 class Levels(NamedTuple):
-    """Predicted grey levels of pixels before saturation, and their derivatives.
+    """Predicted grey levels of n pixels before saturation, and their derivatives.
 
-    Fields
-    ------
+    Attributes
+    ----------
     level : (n,) grey levels.
-    by_homography : nine rows (n,), by the elements of the sheet-from-camera homography.
-    by_appearance : one row (n,) per unknown of the appearance.
-    by_light, by_veil : (n,) derivatives by light and veil at the pixel.
+    by_homography : nine arrays (n,), derivatives with respect to the elements of the
+        sheet-from-camera homography.
+    by_appearance : one array (n,) for each unknown of blur, ink and response.
+    by_light, by_veil : (n,) derivatives with respect to the light and to the veil at the pixel.
     """
 
     level: Float[ArrayLike, "n"]
@@ -100,7 +114,11 @@ class Levels(NamedTuple):
 
 
 class _Ink(NamedTuple):
-    """Share of ink in each pixel, and its derivatives."""
+    """Share of ink in each pixel, and its derivatives.
+
+    The derivatives are with respect to a displacement on the sheet (x, y), to the spread of ink,
+    and to the parameters of the kernel.
+    """
 
     share: Float[ArrayLike, "*n"]
     by_x: Float[ArrayLike, "*n"]
@@ -120,19 +138,19 @@ def predict_levels(
     drawing: InkDrawing,
     near_line: bool,
 ) -> Levels:
-    """Predict grey levels from light and veil at each pixel.
+    """Predict the grey levels of pixels, with derivatives.
 
-    The derivatives by the response are taken at constant light in the centre of the image.
+    The derivatives with respect to the response assume a constant light in the centre of the image.
 
     Parameters
     ----------
     sheet_from_camera : homography from rays in the camera frame to the sheet.
     state : values of the unknowns.
-    light, veil : (n,) light and veil at each pixel.
+    light, veil : (n,) light and veil at each pixel, grey levels.
     pixels : the pixels.
     cross, drawing : crossed lines and properties of the sheet.
-    white : grey level of a signal of 1.
-    near_line : True for pixels near a line; others have a simpler model.
+    white : grey level of a full signal.
+    near_line : True for pixels near a line. The model of other pixels contains circles only.
     """
     appearance = {name: state[name] for name in state.unknowns.appearance}
     ray, local_ink = jax.tree.map(
@@ -180,12 +198,12 @@ def grey_level(
 
     Parameters
     ----------
-    share : share of ink.
+    share : share of ink in the pixel, 0 to 1.
     light : grey level of paper at the pixel.
     veil : additional light, in grey levels of a linear camera.
     paper : grey level of paper in the centre of the image.
-    white : grey level of a signal of 1.
-    tone : reflectance and response.
+    white : grey level of a full signal.
+    tone : reflectance of the ink and response of the camera.
     """
     bump = share * (1 - share)
     share = share + bump * (tone.lift + tone.contrast * (1 - 2 * share))
@@ -198,14 +216,18 @@ def grey_level(
 
 
 def _grey_level(signal: Signal, tone: Tone, *, paper: Scalar, white: Scalar) -> Scalar:
-    """Grey level of a signal: the tone curve, then the camera's sharpening."""
+    """Grey level of a signal after the camera's response and its sharpening."""
     level = grey_level(signal.sharp, signal.light, signal.veil, paper, white, tone)
     smoothed = signal.light * (1 + tone.ratio * signal.soft) + signal.veil
     return level + tone.lobe * (level - smoothed)
 
 
 def _ink(ink_of: InkShare, unit: Float[ArrayLike, "n"], spread_mm: Scalar, kernel: Kernel) -> _Ink:
-    """Share of ink and its derivatives. One pullback serves all pixels, which are independent."""
+    """Share of ink in each pixel, and its derivatives.
+
+    One call of the vector-Jacobian product serves all pixels, because each share depends on its own
+    pixel only.
+    """
     zero = jnp.zeros_like(unit)
     blur = jax.tree.map(lambda value: jnp.broadcast_to(value, unit.shape), (spread_mm, kernel))
     share, pull_back = jax.vjp(ink_of, zero, zero, *blur)
@@ -214,7 +236,10 @@ def _ink(ink_of: InkShare, unit: Float[ArrayLike, "n"], spread_mm: Scalar, kerne
 
 
 def _blurs(appearance: dict[str, Scalar]) -> tuple[Float[ArrayLike, "2"], Kernel]:
-    """Ink spread and kernel of the image, and those of the Gaussian subtracted by sharpening."""
+    """Ink spread, mm, and blur kernel, each as two values.
+
+    The first value belongs to the image, the second to the Gaussian that sharpening subtracts.
+    """
     kernel = Kernel(**{name: appearance[name] for name in Kernel._fields})
     sigma, zero = (
         jnp.sqrt(kernel.sigma_px**2 + appearance["lobe_px"] ** 2),
@@ -229,6 +254,9 @@ def _blurs(appearance: dict[str, Scalar]) -> tuple[Float[ArrayLike, "2"], Kernel
 def _by_homography(
     point: SheetPoint, by_x: Float[ArrayLike, "n"], by_y: Float[ArrayLike, "n"]
 ) -> list[Float[ArrayLike, "_n"]]:
-    """Derivatives by the nine elements of the homography, from those by the point on the sheet."""
+    """Derivatives with respect to the nine elements of the homography.
+
+    by_x, by_y : derivatives with respect to the position X, Y on the sheet, 1/mm.
+    """
     by_w = -(by_x * point.point_mm[0] + by_y * point.point_mm[1])
     return [row * point.by_matrix[k] for row in (by_x, by_y, by_w) for k in range(3)]

@@ -42,15 +42,17 @@ _LEAST_INFLATION, _SATURATED_SHARE = 1.2, 0.01
 
 
 class ImageRefinement(NamedTuple):
-    """Result of the fit to the grey levels of one image, not yet validated.
+    """Result of the fit to the grey levels of one image, before its validation.
 
-    Fields
-    ------
+    Attributes
+    ----------
     state : values of the unknowns.
-    information : (p, p) inverse covariance of a step of the pose, lengths in units of its distance.
-        The other unknowns are eliminated, and correlated noise is included.
-    noise : standard deviation of a pixel at the grey level between paper and ink.
-    noise_floor : the same in flat parts of the image; equal to `noise` for the full camera model.
+    information : (p, p) inverse covariance of a small step of the pose: angles in radians, lengths
+        divided by the camera's distance. It includes the uncertainty of all other unknowns and the
+        correlation of the noise.
+    noise : standard deviation of a pixel at the grey level half-way between paper and ink.
+    noise_floor : standard deviation of a pixel in flat parts of the image; equal to `noise` for the
+        full camera model.
     pixels : number of inlier pixels.
     pixels_cut : number of outlier pixels near edges.
     converged : True if the last step was small compared with its standard deviation.
@@ -83,25 +85,27 @@ def refine_image(
     encoding: Encoding = AS_DELIVERED,
     tuning: PhotometricTuning = TUNING.photometric,
 ) -> ImageRefinement | None:
-    """Fit the model of the sheet to the pixels near its edges.
+    """Fit a model of the sheet's image to the grey levels near edges of ink.
 
-    The ideal camera is fitted first. If its residuals refute it, further unknowns are estimated.
+    The ideal camera is fitted first. If its residuals contradict it, further unknowns are
+    estimated.
 
     Parameters
     ----------
     image : grey levels.
     pattern : the sheet, or the raster of a board of squares.
-    lens : the fixed lens.
+    lens : lens, which is assumed exact.
     start : initial pose.
     model : parameters of the pose that are estimated.
-    shift : known displacement of the image of points of the sheet, px, caused by a bent sheet or by
-        errors of the lens; None for none.
-    encoding : known response and mosaic. A known nonlinear response excludes the ideal camera.
+    shift : function that returns the known displacement in the image, px, of points of the sheet,
+        mm. The cause is a bent sheet or a lens error. None for no displacement.
+    encoding : known response and Bayer pattern. With a known nonlinear response or a mosaic, the
+        ideal camera is not used.
     tuning : constants of the fit.
 
     Returns
     -------
-    Result of the fit; None if too few edges are visible.
+    Result of the fit; None if the visible edges are too few or their contrast is too low.
     """
     initial = build_scene(image, pattern, lens, start, model, shift, encoding, tuning)
     ideal = None if initial is None else fit_ideal_camera(*initial)
@@ -126,14 +130,14 @@ def refine_image(
             scene.noise_floor if fit_state.state.unknowns.is_ideal else noise,
             int(fit_state.inliers.sum()),
             int(np.sum(~fit_state.inliers)),
-            not fit_state.state.unknowns.is_ideal or fit_state.promised < _CONVERGED_GAIN,
+            not fit_state.state.unknowns.is_ideal or fit_state.predicted_gain < _CONVERGED_GAIN,
             points,
             effects,
             _overshoot(scene, fit_state),
         )
 
     residual = fit_state.level - scene.grey
-    is_not_ideal = encoding.bayer is not None or bool(encoding.bend)
+    is_not_ideal = encoding.bayer is not None or bool(encoding.response_bend)
     refuted = "model" if is_not_ideal else find_refuted_part(scene, fit_state)
     if refuted == "noise":
         sigma = noise_by_level(
@@ -141,7 +145,7 @@ def refine_image(
         )
         fit_state = refit_ideal_camera(scene, fit_state.with_pixels(sigma=sigma))
     if refuted == "model":
-        blocks = blocks_of_pixels(scene.chosen, start, lens, pattern)
+        blocks = blocks_of_pixels(scene.pixels, start, lens, pattern)
         fitted = fit_full_camera(scene._replace(blocks=blocks), robust.state, start)
         if fitted is not None:
             full_scene, full_fit = fitted
@@ -153,7 +157,7 @@ def refine_image(
 
 
 def _overshoot(scene: PixelScene, fit_state: ImageFitState) -> float:
-    """Amplitude of the sharpening if it is significant; else 0."""
+    """Amplitude of the sharpening at edges if it is significant; else 0."""
     names = fit_state.state.unknowns.appearance
     if "lobe" not in names:
         return 0.0
@@ -166,7 +170,7 @@ def _overshoot(scene: PixelScene, fit_state: ImageFitState) -> float:
 
 
 def _noise_at_half_level(fit_state: ImageFitState) -> float:
-    """Median noise of the pixels nearest to the level between paper and ink."""
+    """Median noise of the pixels whose level is nearest to the middle between paper and ink."""
     half = float(fit_state.state.light[0] * (1 + 0.5 * fit_state.state["ratio"]))
     nearest = np.argsort(np.abs(fit_state.level - half))[: max(len(fit_state.level) // 50, 1)]
     return float(np.median(fit_state.sigma[nearest]))
@@ -181,14 +185,23 @@ def _inverse(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
 def describe_processing(
     scene: PixelScene, fit_state: ImageFitState, covariance: PoseCovariance
 ) -> tuple[str, ...]:
-    """Short descriptions of significant effects, such as "uneven light" or "saturated paper"."""
+    """Return short descriptions of significant effects, such as "uneven light".
+
+    Parameters
+    ----------
+    scene : pixels and constants of the fit.
+    fit_state : end of the fit of the full camera model.
+    covariance : covariance of the pose, with the correlation of the noise.
+    """
     names = fit_state.state.unknowns.appearance
     value = dict(zip(names, map(float, fit_state.state.values), strict=False))
     sigma = dict(zip(names, map(float, spread_of_values(scene, fit_state)), strict=False))
     significant = {name for name in names if 0 < _SIGMAS * sigma[name] < abs(value[name])}
-    effects, bend = [], value["bend"]
-    if scene.bend is None and abs(bend) > max(_SIGMAS * sigma["bend"], _LEAST_BEND):
-        effects.append(sentences.response_of(bend, sigma["bend"]))
+    effects, response_bend = [], value["bend"]
+    if scene.response_bend is None and abs(response_bend) > max(
+        _SIGMAS * sigma["bend"], _LEAST_BEND
+    ):
+        effects.append(sentences.response_of(response_bend, sigma["bend"]))
     if "contrast" in significant:
         effects.append(sentences.S_CURVE)
     if "lobe" in significant and value["lobe"] > _LEAST_LOBE:
@@ -211,10 +224,11 @@ def describe_processing(
 
 
 def _motion(along: float, across: float, sigma: float) -> list[str]:
-    """Description of a motion blur, if it is significant.
+    """Return the description of a motion blur in a list, which is empty if it is not significant.
 
-    along, across : (variance along u - along v) / 2, and covariance of u and v, px^2.
-    sigma : their standard deviation.
+    along, across : anisotropy of the blur, px^2: (variance along u - variance along v) / 2, and
+        covariance of u and v.
+    sigma : standard deviation of `along` and `across`.
     """
     amount = float(np.hypot(along, across))
     # A uniform distribution on a line has the variance length^2 / 12; half of it is anisotropy.

@@ -38,11 +38,11 @@ SQUARES = "squares"
 
 
 class InkDrawing(NamedTuple):
-    """Properties of the sheet that are static in compiled programs, to simplify the model.
+    """Properties of the sheet that select the model; constants of a compiled program.
 
-    Fields
-    ------
-    line_style : line style of the pattern; SQUARES for a board of squares.
+    Attributes
+    ----------
+    line_style : line style of the pattern; `SQUARES` for a board of squares.
     has_rings : True if any circle is a ring.
     """
 
@@ -51,12 +51,13 @@ class InkDrawing(NamedTuple):
 
 
 class Circle(NamedTuple):
-    """The circle nearest to a pixel.
+    """Circle nearest to each pixel.
 
-    Fields
-    ------
+    Attributes
+    ----------
     centre_mm : (2,) centre on the sheet.
-    radius_mm, inner_radius_mm : outer and inner radius of the ink; the latter is 0 for a disc.
+    radius_mm : outer radius of the ink.
+    inner_radius_mm : inner radius of the ink of a ring; 0 for a disc.
     present : 1, or 0 for a pixel that is not near a circle.
     """
 
@@ -67,7 +68,14 @@ class Circle(NamedTuple):
 
 
 class Cross(NamedTuple):
-    """The crossed lines: half their width, half their lengths, and their gap at a circle, mm."""
+    """Crossed lines of a sheet.
+
+    Attributes
+    ----------
+    half_width_mm : half the width of both lines.
+    half_length_mm : half the lengths of the line along X and the line along Y.
+    gap_mm : gap between a line and a circle on it, if lines stop at circles.
+    """
 
     half_width_mm: Float[ArrayLike, ""]
     half_length_mm: Float[ArrayLike, "2"]
@@ -75,13 +83,15 @@ class Cross(NamedTuple):
 
 
 class Squares(NamedTuple):
-    """Ink around a pixel of a board of squares: 3 x 3 cells between two lines along each axis.
+    """Ink around a pixel of a board of squares.
 
-    Fields
-    ------
-    x_mm, y_mm : (2,) increasing positions of the lines; that of a line without an edge is
-        arbitrary.
-    ink : (9,) 1 for each inked cell, lowest row first.
+    It consists of 3 x 3 cells, separated by two lines along each axis.
+
+    Attributes
+    ----------
+    x_mm, y_mm : (2,) increasing positions of the two lines along each axis; arbitrary for a line
+        without an edge of ink.
+    ink : (9,) 1 for each inked cell, else 0, row by row from the lowest Y.
     """
 
     x_mm: Float[ArrayLike, "2 *n"]
@@ -90,14 +100,21 @@ class Squares(NamedTuple):
 
 
 class PixelView(NamedTuple):
-    """A pixel with its ray and its point on the sheet, for the geometry of edges."""
+    """Pixel with its ray and its point on the sheet.
+
+    Attributes
+    ----------
+    sheet_from_camera : homography from rays in the camera frame to the sheet.
+    ray : ray of the pixel.
+    point : point of the sheet under the pixel, with derivatives.
+    """
 
     sheet_from_camera: Float[ArrayLike, "3 3"]
     ray: Ray
     point: SheetPoint
 
     def circle(self, circle: Circle, radius_mm: Scalar) -> Edge:
-        """Edge of a circle with another radius about the same centre."""
+        """Edge of a circle with the centre of `circle` and the radius `radius_mm`."""
         return circular_edge(
             self.sheet_from_camera, self.ray, self.point, circle.centre_mm, radius_mm
         )
@@ -106,7 +123,20 @@ class PixelView(NamedTuple):
 def nearest_ink(
     view: PixelView, local_ink: Circle | Squares, cross: Cross, drawing: InkDrawing, near_line: bool
 ) -> InkShare:
-    """Function that returns the share of ink in a pixel, by the kind of its nearest ink."""
+    """Return the function that computes the share of ink in each pixel.
+
+    Parameters
+    ----------
+    view : pixels with their rays and points on the sheet.
+    local_ink : circle nearest to each pixel, or the squares around each pixel.
+    cross, drawing : crossed lines and properties of the sheet.
+    near_line : True for pixels near a line.
+
+    Returns
+    -------
+    Function of a displacement on the sheet in X and in Y, mm, the spread of ink, mm, and the
+    kernel.
+    """
     if isinstance(local_ink, Squares):
         return partial(ink_of_squares, view.point, local_ink)
     if near_line:
@@ -115,7 +145,11 @@ def nearest_ink(
 
 
 def ink_of_circle(view: PixelView, circle: Circle, drawing: InkDrawing) -> InkShare:
-    """Share of ink near a disc or ring: that of the disc minus that of the hole."""
+    """Function that computes the share of ink near a disc or a ring.
+
+    `nearest_ink` describes its arguments. The share of a ring is that of its outer disc minus that
+    of its hole.
+    """
     outer = view.circle(circle, circle.radius_mm)
     hole, has_hole = _hole(view, circle, drawing)
 
@@ -129,10 +163,11 @@ def ink_of_circle(view: PixelView, circle: Circle, drawing: InkDrawing) -> InkSh
 
 
 def ink_of_sheet(view: PixelView, circle: Circle, cross: Cross, drawing: InkDrawing) -> InkShare:
-    """Share of ink near the crossed lines and the nearest circle.
+    """Function that computes the share of ink near the crossed lines and a circle.
 
-    Shares are combined by inclusion and exclusion: ends of lines, the crossing of both lines, and
-    the part of the lines on a disc. All edges are evaluated together.
+    `nearest_ink` describes its arguments. The shares of lines and circle are combined by inclusion
+    and exclusion: ends of lines, the crossing of both lines, and the part of the lines on a disc.
+    All edges are evaluated in one vectorised call.
     """
     hole, has_hole = _hole(view, circle, drawing)
     # Lines end at the circle or at a gap around it.
@@ -179,7 +214,10 @@ def ink_of_sheet(view: PixelView, circle: Circle, cross: Cross, drawing: InkDraw
 
 
 def _edges_of_lines(point: SheetPoint, cross: Cross) -> Edge:
-    """Six edges: both sides of the line along X, of the line along Y, and the nearer ends."""
+    """Six edges: both sides of the line along X, both sides of the line along Y, and one end each.
+
+    The ends are those nearest to the pixel.
+    """
     x, y = point.point_mm[0], point.point_mm[1]
     one, zero = jnp.ones_like(x), jnp.zeros_like(x)
     side_x, side_y = jnp.where(x < 0, -one, one), jnp.where(y < 0, -one, one)
@@ -194,7 +232,7 @@ def _shift(edge: Edge, dx: Scalar, dy: Scalar) -> Scalar:
 
 
 def _by_line(covered: EdgeCoverage) -> EdgeCoverage:
-    """Coverages by the sides, indexed by (line, side)."""
+    """Rearrange coverages so that the first two axes are (crossed line, side of the line)."""
     return jax.tree.map(lambda leaf: leaf[_SIDES].reshape(2, 2, *leaf.shape[1:]), covered)
 
 
@@ -218,7 +256,10 @@ def _lines_on_disc(sides: EdgeCoverage, crossing: Scalar, disc: EdgeCoverage) ->
 
 
 def _hole(view: PixelView, circle: Circle, drawing: InkDrawing) -> tuple[Edge | None, Scalar]:
-    """Edge of a ring's hole and factor 1, or an arbitrary edge and factor 0 for a disc."""
+    """Edge of a ring's hole and its weight 1; an arbitrary edge and the weight 0 for a disc.
+
+    The edge is None if no circle of the sheet is a ring.
+    """
     if not drawing.has_rings:
         return None, jnp.zeros_like(circle.present)
     is_ring = circle.inner_radius_mm > 0
@@ -240,9 +281,9 @@ def ink_of_squares(
     Parameters
     ----------
     point : point of the board under the pixel.
-    squares : ink around the pixel.
-    dx, dy : displacement of the point, mm.
-    spread_mm : spread of the ink beyond its edges.
+    squares : inked cells around the pixel.
+    dx, dy : displacement of the point on the board, mm.
+    spread_mm : spread of the ink beyond the edges of the drawing.
     kernel : blur kernel.
     """
     one, zero = jnp.ones_like(dx), jnp.zeros_like(dx)
@@ -259,7 +300,7 @@ def ink_of_squares(
     ink = squares.ink.reshape(3, 3, *dx.shape)
     # Start with the upper right cell; add the steps along the top row and the right column.
     steps = jnp.concatenate([ink[2, :2] - ink[2, 1:], ink[:2, 2] - ink[1:, 2]])
-    share = ink[2, 2] + jnp.sum(steps * jax.vmap(_grown)(covered, steps).share, axis=0)
+    share = ink[2, 2] + jnp.sum(steps * jax.vmap(_select_spread)(covered, steps).share, axis=0)
     crossings_of_row = jax.vmap(_crossing_of_squares, (0, None, 0, 0, 0, 0))
     crossings = jax.vmap(crossings_of_row, (None, 0, 0, 0, 0, 0))(
         _take(covered, slice(2)),
@@ -269,11 +310,13 @@ def ink_of_squares(
     return share + jnp.sum(crossings, axis=(0, 1))
 
 
-def _grown(sides: EdgeCoverage, ink_before: Scalar) -> EdgeCoverage:
-    """Coverage of the side before an edge, after the spread of ink.
+def _select_spread(sides: EdgeCoverage, ink_before: Scalar) -> EdgeCoverage:
+    """Select the coverage by an edge for the direction in which its ink spreads.
 
-    sides : coverages for ink before the edge, and for ink behind it.
-    ink_before : positive if the ink is before the edge.
+    sides : coverages of the region before the edge: with ink that spreads toward larger
+        coordinates, and toward smaller coordinates.
+    ink_before : positive if the ink is before the edge, so that it spreads toward larger
+        coordinates.
     """
     return jax.tree.map(lambda leaf: jnp.where(ink_before > 0, leaf[0], leaf[1]), sides)
 
@@ -289,9 +332,13 @@ def _crossing_of_squares(
     """Correction of the share of ink at a crossing of two grid lines.
 
     `ink_of_squares` assumes that the edges above each crossing and to its right continue below and
-    to the left. This correction replaces the assumed quadrants by the true ones. At a checkerboard
-    crossing the dark side of the edge along X changes, so that spreading ink moves the edge in
-    opposite directions on both sides.
+    to the left. This correction replaces the assumed quadrants by the true ones. At a crossing of a
+    checkerboard, the inked side of the edge along X changes. Spreading ink then moves the edge in
+    opposite directions on the left and on the right.
+
+    left_of, below : coverages of the side left of one line and below the other, both with the two
+        possible signs of the spread.
+    lower_left, lower_right, upper_left, upper_right : 1 for an inked cell, else 0.
     """
     lower, upper = lower_left - lower_right, upper_left - upper_right
     before, after = lower_left - upper_left, lower_right - upper_right
@@ -299,6 +346,6 @@ def _crossing_of_squares(
     total = before + after
     first = jnp.where(is_checker, jnp.ones_like(total), total)
     second = jnp.where(is_checker, -jnp.ones_like(total), total)
-    under = coverage_of_both(_grown(left_of, lower), _grown(below, first))
-    over = coverage_of_both(_grown(left_of, upper), _grown(below, second))
+    under = coverage_of_both(_select_spread(left_of, lower), _select_spread(below, first))
+    over = coverage_of_both(_select_spread(left_of, upper), _select_spread(below, second))
     return lower * under - upper * over

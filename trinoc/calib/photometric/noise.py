@@ -18,12 +18,12 @@ LEAST_SIGMA = 0.3
 
 
 class Saturation(NamedTuple):
-    """The grey level at which a camera clips.
+    """Grey level at which a camera clips, with the noise of clipped pixels.
 
-    Fields
-    ------
-    top : grey level; infinity if nothing is clipped.
-    clipped_sigma : standard deviation that a clipped level is given.
+    Attributes
+    ----------
+    top : saturation level; infinity if no level is clipped.
+    clipped_sigma : standard deviation assumed for a clipped level, grey levels.
     """
 
     top: ScalarLike
@@ -31,11 +31,11 @@ class Saturation(NamedTuple):
 
 
 class ClippedMoments(NamedTuple):
-    """Mean and standard deviation of min(x, top) for a normal x.
+    """Mean and standard deviation of min(x, top) for a normally distributed grey level x.
 
-    Fields
-    ------
-    mean : expectation after clipping.
+    Attributes
+    ----------
+    mean : mean after clipping.
     slope : derivative of `mean` with respect to the mean of x.
     sigma : standard deviation after clipping.
     """
@@ -48,11 +48,15 @@ class ClippedMoments(NamedTuple):
 def clipped_moments(
     level: Float[ArrayLike, "n"], sigma: Float[ArrayLike, "n"], saturation: Saturation
 ) -> ClippedMoments:
-    """Mean and standard deviation of a noisy level after clipping.
+    """Mean and standard deviation of noisy grey levels after clipping.
 
-    Accepts NumPy and JAX arrays and keeps their precision; computes relative to `top`.
+    NumPy and JAX arrays are accepted and keep their precision. The code computes relative to the
+    saturation level, to avoid cancellation.
 
+    Parameters
+    ----------
     level, sigma : (n,) mean and standard deviation before clipping.
+    saturation : the saturation level.
     """
     math, top = array_namespace(level, sigma), saturation.top
     normal = scipy.special.ndtr if math is np else jax.scipy.special.ndtr
@@ -72,18 +76,38 @@ def clipped_moments(
 def is_clear(
     level: Float[np.ndarray, "n"], sigma: Float[np.ndarray, "n"], top: float, clear_sigmas: float
 ) -> Bool[np.ndarray, "n"]:
-    """True for levels far enough below saturation that their noise is not clipped."""
+    """True for each grey level so far below saturation that clipping does not change its noise.
+
+    Parameters
+    ----------
+    level, sigma : (n,) mean levels and standard deviations before clipping.
+    top : saturation level.
+    clear_sigmas : required distance from `top`, in standard deviations.
+    """
     return level < top - clear_sigmas * sigma
 
 
 def saturation_level(grey: Float[np.ndarray, "n"], piled_share: float) -> float:
-    """Largest grey level if more than `piled_share` of the pixels have it; else infinity."""
+    """Estimate of the saturation level: the largest grey level, if many pixels have it.
+
+    Parameters
+    ----------
+    grey : (n,) grey levels.
+    piled_share : share of pixels at the largest level above which it counts as saturation.
+
+    Returns
+    -------
+    The largest level, or infinity if the image is not saturated.
+    """
     top = float(grey.max())
     return top if np.mean(grey >= top - 0.5) > piled_share else np.inf
 
 
 def white_level(image: Float[np.ndarray, "h w"]) -> float:
-    """Grey level of a full signal, for the fewest bits (at least 8) that contain all levels."""
+    """Grey level of a full signal, 2^bits - 1, for the smallest number of bits (at least 8).
+
+    All levels of the image must be in the range of this number of bits.
+    """
     return float(2 ** max(int(np.ceil(np.log2(float(image.max()) + 1))), 8) - 1)
 
 
@@ -103,21 +127,25 @@ def noise_by_level(
     Parameters
     ----------
     level, residual : (n,) predicted grey levels, and residuals.
-    used : (n,) mask of the pixels that are used.
+    used : (n,) mask of the pixels from which the noise is estimated.
     query_levels : (m,) grey levels at which the noise is returned.
-    fewest : fewest pixels for a variance.
+    fewest : smallest number of pixels in a bin.
     robust : True to use medians, if the pixels still contain outliers.
+
+    Returns
+    -------
+    (m,) standard deviations, grey levels.
     """
     levels, residuals = level[used], residual[used]
     if len(levels) < fewest:
-        return np.full(len(at), max(float(np.std(residual)), LEAST_SIGMA))
+        return np.full(len(query_levels), max(float(np.std(residual)), LEAST_SIGMA))
     low, high = np.percentile(levels, [2, 98])
     edges = np.linspace(low, high, _BINS + 1)
     bins = np.clip(np.digitize(levels, edges) - 1, 0, _BINS - 1)
     count = np.bincount(bins, minlength=_BINS)
     enough = np.flatnonzero(count >= fewest)
     if not len(enough):
-        return np.full(len(at), max(float(np.std(residuals)), LEAST_SIGMA))
+        return np.full(len(query_levels), max(float(np.std(residuals)), LEAST_SIGMA))
     if robust:
         sizes = [np.median(np.abs(residuals[bins == k])) for k in enough]
         variance = (MAD_TO_SIGMA * np.array(sizes)) ** 2
@@ -128,7 +156,13 @@ def noise_by_level(
 
 
 class PixelGrid:
-    """Lookup of neighbours among selected pixels, at offsets up to `reach_px`."""
+    """Lookup of the neighbours of selected pixels.
+
+    Parameters
+    ----------
+    column, row : (n,) coordinates of the selected pixels.
+    reach_px : largest offset of a neighbour in each direction.
+    """
 
     def __init__(
         self, column: Int[np.ndarray, "n"], row: Int[np.ndarray, "n"], reach_px: int
@@ -140,12 +174,20 @@ class PixelGrid:
         self._index[self._position] = np.arange(len(row), dtype=np.int32)
 
     def neighbours(self, down: int, right: int) -> Int[np.ndarray, "n"]:
-        """Index of the pixel at an offset from each pixel; -1 if it is not selected."""
+        """Index of the pixel `down` rows and `right` columns away from each pixel.
+
+        It is -1 if that pixel is not selected.
+        """
         row, column = self._position
         return self._index[row + down, column + right]
 
     def pairs(self, down: int, right: int) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Indices of the pixels with a selected neighbour at an offset, and of these neighbours."""
+        """Pairs of selected pixels, `down` rows and `right` columns apart.
+
+        Returns
+        -------
+        (m,) indices of the first pixels, and (m,) indices of their neighbours.
+        """
         neighbour = self.neighbours(down, right)
         pixel = np.flatnonzero(neighbour >= 0)
         return pixel, neighbour[pixel]
@@ -157,12 +199,21 @@ def autocorrelation(
     inliers: Bool[np.ndarray, "n"],
     significant_sigmas: float,
 ) -> Float[np.ndarray, "l l"]:
-    """Correlation of residuals by the offset of the pixels; lag 0 is in the centre.
+    """Correlation of the residuals of two pixels, as a function of their offset.
 
-    Insignificant correlations are set to 0, because the sum of all lags would be dominated by
-    their noise.
+    Insignificant correlations are set to 0, because their noise would dominate the sum over all
+    offsets.
 
-    residual, inliers : (n,) residuals and mask of the pixels that are used.
+    Parameters
+    ----------
+    grid : lookup of neighbouring pixels.
+    residual : (n,) residuals divided by their standard deviations.
+    inliers : (n,) mask of the pixels that are used.
+    significant_sigmas : significance below which a correlation is set to 0.
+
+    Returns
+    -------
+    (l, l) correlations by offset (row, column); the offset 0 is in the centre.
     """
     used_residual, reach = residual * inliers, grid.reach_px
     sums, counts = np.zeros((2, 2 * reach + 1, 2 * reach + 1))
@@ -182,18 +233,26 @@ def autocorrelation(
 
 
 def inflation(correlation: Float[np.ndarray, "l l"]) -> float:
-    """Variance of a mean of neighbouring pixels over that for uncorrelated pixels."""
+    """Variance of a mean over many neighbouring pixels, divided by that for uncorrelated pixels.
+
+    correlation : (l, l) correlation by offset, see `autocorrelation`.
+    """
     return max(float(correlation.sum()), 1.0)
 
 
 def sum_correlated(
     grid: PixelGrid, rows: Float[np.ndarray, "p n"], correlation: Float[np.ndarray, "l l"]
 ) -> Float[np.ndarray, "p p"]:
-    """Sum of row_i correlation_ij row_j^T over all pairs of pixels.
+    """Sum of row_i correlation_ij row_j^T over all pairs (i, j) of pixels.
 
-    This is the middle of a sandwich covariance.
+    The result is the middle matrix of a sandwich covariance.
 
-    rows : (p, n) derivatives of the pixels divided by the standard deviation of the noise.
+    Parameters
+    ----------
+    grid : lookup of neighbouring pixels.
+    rows : (p, n) derivatives of the pixels with respect to p parameters, divided by the standard
+        deviation of the noise.
+    correlation : (l, l) correlation by offset, see `autocorrelation`.
     """
     spread, reach = np.zeros_like(rows), grid.reach_px
     for down, right in (np.argwhere(correlation) - reach).tolist():
@@ -204,6 +263,6 @@ def sum_correlated(
 
 
 def _half_of_the_lags(reach_px: int) -> list[tuple[int, int]]:
-    """Offsets (down, right) of lag 0 and of one of each two opposite lags."""
+    """Offsets (down, right) up to `reach_px`, with only one of each two opposite offsets."""
     offsets = range(-reach_px, reach_px + 1)
     return [(down, right) for down in offsets for right in offsets if (down, right) >= (0, 0)]

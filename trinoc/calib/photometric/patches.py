@@ -34,22 +34,25 @@ _NO_POINTS = SheetPoints(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0)))
 
 
 class _SharedUnknowns(NamedTuple):
-    """Derivatives and priors of the unknowns that all patches share.
+    """Derivatives and priors of the unknowns that all patches of one image share.
 
-    These are appearance, light and veil, and the local levels if blocks have their own light.
+    These unknowns are blur, ink, response, light and veil, and the light of each block if it is
+    estimated.
 
-    Fields
-    ------
-    rows : (n, q) derivatives of all pixels by the shared unknowns.
-    by_levels : (n, l) sparse derivatives by the local levels of all blocks; l = 0 without local
-        light.
-    prior, pull : (q + l,) information of the priors, and gradient of their cost.
+    Attributes
+    ----------
+    rows : (n, q) derivatives of the n pixels with respect to the q shared unknowns of the whole
+        image.
+    by_levels : (n, l) sparse derivatives with respect to the local levels of all blocks; l = 0
+        without local light.
+    prior : (q + l,) reciprocal variances of the priors.
+    prior_gradient : (q + l,) gradient of the priors' cost.
     """
 
     rows: Float[np.ndarray, "n q"]
     by_levels: "scipy.sparse.csr_matrix"
     prior: Float[np.ndarray, "m"]
-    pull: Float[np.ndarray, "m"]
+    prior_gradient: Float[np.ndarray, "m"]
 
 
 def patch_points(
@@ -59,18 +62,21 @@ def patch_points(
     fit_state: ImageFitState,
     inflation: float,
 ) -> SheetPoints:
-    """Measure the positions of all visible patches of the sheet.
+    """Measure the image positions of all visible patches of the sheet.
+
+    A patch is a circle or a piece of the crossed lines.
 
     Parameters
     ----------
     lens : the lens.
     pattern : the sheet, or the raster of a board of squares.
-    scene, fit_state : constants and end of the fit.
-    inflation : variance of the noise over that of independent noise with the assumed sigmas.
+    scene, fit_state : pixels and constants of the fit, and its end.
+    inflation : variance of the noise divided by that of independent noise with the assumed sigmas.
 
     Returns
     -------
-    Points with a common whitening matrix; no points if the fit diverged.
+    Positions on the sheet and in the image, with one whitening matrix for all; no points if the fit
+    diverged.
     """
     rays = [group.pixels.ray for group in scene.groups]
     direction = scene.join_pixels([ray.direction for ray in rays]).astype(float)
@@ -89,12 +95,12 @@ def patch_points(
     if not all(np.isfinite(part).all() for part in (point_mm, weight, all_rows)):
         return _NO_POINTS
     near_line = np.arange(len(scene.grey)) >= scene.counts[0]
-    label = np.where(near_line, -1, scene.chosen.circle)
+    label = np.where(near_line, -1, scene.pixels.circle)
     if isinstance(pattern, Pattern):
         piece = len(pattern) + _piece_of_line(point_mm, pattern)
         label = np.where(label >= 0, label, piece)
     information = (by_px**2).sum(axis=0) * weight
-    label, information = _number_patches(label, information)
+    label, information = _renumber_patches(label, information)
     by_px = by_px * (information > 0)
     total = np.bincount(label, information)
     centroid_mm = np.stack(
@@ -122,7 +128,10 @@ def _project(
 
 
 def _piece_of_line(point_mm: Float[np.ndarray, "n 2"], pattern: Pattern) -> Int[np.ndarray, "n"]:
-    """Piece of the crossed lines nearest to each point: first those of the line along X."""
+    """Index of the piece of the crossed lines nearest to each point.
+
+    The pieces of the line along X come first, in the order of their coordinates.
+    """
     x, y = point_mm.T
     along_y = np.abs(y) > np.abs(x)
     reach = np.where(along_y, pattern.line_half_length_mm[1], pattern.line_half_length_mm[0])
@@ -131,19 +140,24 @@ def _piece_of_line(point_mm: Float[np.ndarray, "n 2"], pattern: Pattern) -> Int[
     return np.clip(np.floor((along + 1) * LINE_PIECES), 0, last).astype(int) + along_y * (last + 1)
 
 
-def _number_patches(
+def _renumber_patches(
     label: Int[np.ndarray, "n"], information: Float[np.ndarray, "n"]
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Number the patches with enough information from 0.
 
-    Pixels of other patches get number 0 and no information.
+    Parameters
+    ----------
+    label, information : (n,) patch index and information of each pixel.
 
-    label, information : (n,) patch and information of each pixel.
+    Returns
+    -------
+    (n,) new patch index, and (n,) information of each pixel. Pixels of all other patches have the
+    index 0 and no information.
     """
     total = np.bincount(label, information)
     is_useful = total > _LEAST_SHARE * total.max()
-    number = np.where(is_useful, np.cumsum(is_useful) - 1, 0)
-    return number[label], information * is_useful[label]
+    index = np.where(is_useful, np.cumsum(is_useful) - 1, 0)
+    return index[label], information * is_useful[label]
 
 
 def _shared_unknowns(
@@ -154,26 +168,32 @@ def _shared_unknowns(
 ) -> _SharedUnknowns:
     """Derivatives and priors of the shared unknowns at the end of the fit.
 
-    Local light must be included, because it has effects similar to those of a displacement.
+    Local light must be included, because its effects are similar to those of a displacement.
+
+    by_values : (k, n) derivatives of the pixels with respect to all unknowns of the image.
+    inflation : factor by which the correlation of the noise increases variances.
     """
     state, free = fit_state.state, fit_state.free[scene.model.size :]
     prior = state.unknowns.prior(scene.tuning, local=scene.has_local_light)
     weight = np.asarray(prior.weight)
-    pull = weight * (state.values - prior.mean)
-    by_levels, level_weight, level_pull = _local_light(scene, fit_state, prior)
+    prior_gradient = weight * (state.values - prior.mean)
+    by_levels, level_weight, level_gradient = _local_light(scene, fit_state, prior)
     # Priors are scaled like the pixels: at the end of the fit, their gradients balance.
     return _SharedUnknowns(
         by_values[free].astype(float).T,
         by_levels,
         np.concatenate([weight[free], level_weight]) / inflation,
-        np.concatenate([pull[free], level_pull]) / inflation,
+        np.concatenate([prior_gradient[free], level_gradient]) / inflation,
     )
 
 
 def _local_light(
     scene: PixelScene, fit_state: ImageFitState, prior: ImagePrior
 ) -> tuple["scipy.sparse.csr_matrix", Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
-    """Derivatives by the local levels, and information and gradient of their priors."""
+    """Derivatives of the pixels with respect to the local levels, and the priors of these levels.
+
+    The priors are given by their reciprocal variances and the gradient of their cost.
+    """
     count, blocks = len(fit_state.inliers), scene.blocks
     if not scene.has_local_light or blocks is None:
         return scipy.sparse.csr_matrix((count, 0)), np.zeros(0), np.zeros(0)
@@ -202,20 +222,22 @@ def _displacements(
 
     Parameters
     ----------
-    by_px : (2, n) derivatives of the pixels by a displacement of the image.
-    patch : (n,) patch of each pixel.
+    by_px : (2, n) derivatives of the pixels' grey levels with respect to a displacement of the
+        image in u and in v.
+    patch : (n,) patch index of each pixel.
     count : number m of patches.
     residual, weight : (n,) residuals, and reciprocal variances of the pixels.
     shared : the shared unknowns.
 
     Returns
     -------
-    (m, 2) displacements, px, and the matrix that whitens the errors of all patches.
+    (m, 2) displacements, px, and the (2m, 2m) matrix that whitens their errors. Its rows for
+    directions that are not observable are 0.
     """
     rows, by_levels, weighted = shared.rows, shared.by_levels, by_px * weight
 
     def sum_by_patch(values: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m k"]:
-        """Weighted sums over each patch of the derivatives by u and by v, times values."""
+        """Weighted sums over each patch: derivatives with respect to u and to v, times `values`."""
         sums = [[np.bincount(patch, axis * row, count) for row in values] for axis in weighted]
         return np.array(sums).transpose(2, 0, 1).reshape(2 * count, len(values))
 
@@ -227,14 +249,15 @@ def _displacements(
     inner = np.block(
         [[by_weight @ rows, corner.T], [corner, (levels_by_weight @ by_levels).toarray()]]
     ) + np.diag(shared.prior)
-    pull = np.concatenate([by_weight @ residual, levels_by_weight @ residual]) + shared.pull
+    residual_gradient = np.concatenate([by_weight @ residual, levels_by_weight @ residual])
+    shared_gradient = residual_gradient + shared.prior_gradient
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
     eliminated = (across / scale) @ np.linalg.pinv(inner / np.outer(scale, scale), hermitian=True)
     patch_information = sum_by_patch(by_px).reshape(count, 2, 2)
     diagonal = np.zeros((count, 2, count, 2))
     diagonal[np.arange(count), :, np.arange(count)] = patch_information
     information = diagonal.reshape(2 * count, 2 * count) - eliminated @ (across / scale).T
-    gradient = sum_by_patch(residual[None])[:, 0] - eliminated @ (pull / scale)
+    gradient = sum_by_patch(residual[None])[:, 0] - eliminated @ (shared_gradient / scale)
     basis = _observable_directions(patch_information)
     factor = np.linalg.cholesky(basis.T @ information @ basis)
     step = np.linalg.solve(factor.T, np.linalg.solve(factor, basis.T @ gradient))
@@ -249,7 +272,7 @@ def _sums_with_levels(
     count: int,
     by_levels: "scipy.sparse.csr_matrix",
 ) -> Float[np.ndarray, "m l"]:
-    """Sums over each patch of `weighted` times the derivatives by the local levels."""
+    """Sums over each patch: `weighted` times the derivatives with respect to the local levels."""
     if not by_levels.shape[1]:  # pyright: ignore[reportOptionalSubscript]
         return np.zeros((2 * count, 0))
     pixel, column = np.tile(np.arange(len(patch)), 2), np.concatenate([2 * patch, 2 * patch + 1])
@@ -258,7 +281,12 @@ def _sums_with_levels(
 
 
 def _observable_directions(information: Float[np.ndarray, "c 2 2"]) -> Float[np.ndarray, "k q"]:
-    """Unit vectors along which the displacement of single patches is determined, as columns."""
+    """Directions along which the displacement of a patch is observable, as unit column vectors.
+
+    A vector has entries for the displacements of all patches; only those of one patch are not zero.
+
+    information : (c, 2, 2) information matrix of each patch's displacement.
+    """
     count = len(information)
     values, vectors = np.linalg.eigh(information)
     basis = np.zeros((count, 2, count, 2))

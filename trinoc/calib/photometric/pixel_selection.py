@@ -26,19 +26,19 @@ from trinoc.geometry.pose import Pose
 # numerical: fractional bits of OpenCV's drawing coordinates.
 _SHIFT = 4
 SMALLEST_CAPACITY = 16384  # numerical: smallest padded length of a group
-# numerical: number of parts of the selected pixels; each part covers the whole sheet evenly.
-PARTS = 4
+# numerical: number of subsets of the selected pixels; each subset covers the whole sheet evenly.
+SUBSETS = 4
 
 
 class SelectedPixels(NamedTuple):
-    """Selected pixels near edges, without padding.
+    """Pixels near an edge of ink, without padding.
 
-    Fields
-    ------
+    Attributes
+    ----------
     column, row : (n,) pixel coordinates.
-    circle : (n,) index of the nearest circle, -1 without a near one; for a board of squares, index
-        of the nearest node.
-    squares : (n, ...) ink around each pixel of a board of squares, else None.
+    circle : (n,) index of the nearest circle, -1 if no circle is near; for a board of squares,
+        index of the nearest node of its grid.
+    squares : inked cells around each pixel of a board of squares; None for other sheets.
     """
 
     column: Int[np.ndarray, "n"]
@@ -48,22 +48,23 @@ class SelectedPixels(NamedTuple):
 
     @property
     def image_index(self) -> tuple[np.ndarray, np.ndarray]:
-        """Index (row, column) of the pixels into an image."""
+        """Index (rows, columns) that selects the pixels from an image array."""
         return self.row, self.column
 
-    def part(self, chosen: np.ndarray) -> "SelectedPixels":
-        """Select pixels by an index."""
-        return jax.tree.map(lambda field: field[chosen], self)
+    def subset(self, index: np.ndarray) -> "SelectedPixels":
+        """Pixels at the given indices."""
+        return jax.tree.map(lambda field: field[index], self)
 
 
 class PixelSelection(NamedTuple):
-    """Result of `select_pixels`.
+    """Pixels near the edges of a sheet in one image; result of `select_pixels`.
 
-    Fields
-    ------
-    near_circles, near_lines : pixels near circles only, and pixels near a crossed line.
+    Attributes
+    ----------
+    near_circles : pixels near circles only.
+    near_lines : pixels near a crossed line.
     corner : (row, column) of the first pixel of the sheet's bounding box.
-    flat : (h, w) mask of the pixels of this box that are not near an edge.
+    flat : (h, w) mask of the pixels in this box that are not near an edge.
     """
 
     near_circles: SelectedPixels
@@ -79,22 +80,22 @@ def select_pixels(
     image_size_px: tuple[int, int],
     reach_px: float,
 ) -> PixelSelection:
-    """Select the pixels within a distance of the sheet's edges.
+    """Select the pixels near an edge of the sheet's ink.
 
-    Pixels near two circles are excluded, because the model has only one.
+    Pixels near two circles are excluded, because the model of a pixel has one circle only.
 
     Parameters
     ----------
-    pose, lens : the camera, which predicts the edges.
+    pose, lens : camera, which predicts the edges.
     pattern : the sheet, or the raster of a board of squares.
-    image_size_px : (width, height).
-    reach_px : largest distance from an edge.
+    image_size_px : (width, height) of the image.
+    reach_px : largest distance of a pixel from an edge.
     """
     if isinstance(pattern, SquareSheet):
         pixels = square_pixels(pose, lens, pattern, image_size_px, reach_px)
         selected = SelectedPixels(pixels.column, pixels.row, pixels.node, pixels.squares)
         selected = _interleave(selected)
-        none = selected.part(np.zeros(0, dtype=int))
+        none = selected.subset(np.zeros(0, dtype=int))
         return PixelSelection(selected, none, pixels.corner, pixels.flat)
     # OpenCV draws lines of even thickness one pixel wider: by half a pixel on each side.
     thickness = 2 * max(1, round(reach_px - 0.5))
@@ -133,12 +134,11 @@ def select_pixels(
 class _BandPixels(NamedTuple):
     """Classification of the pixels in the band around the crossed lines.
 
-    Fields
-    ------
-    is_near_line : (n,) True if an edge of a line is within reach. Deep inside a circle or its gap
-        there is none.
-    circle : (n,) index of the circle whose edge, or whose gap in the line, is within reach; -1
-        without one.
+    Attributes
+    ----------
+    is_near_line : (n,) True if an edge of a line is near the pixel. A pixel deep inside a circle,
+        or in the gap around a circle, is not near such an edge.
+    circle : (n,) index of the circle whose edge or gap is near the pixel; -1 if there is none.
     """
 
     is_near_line: Bool[np.ndarray, "n"]
@@ -153,7 +153,7 @@ def _classify_band(
     pattern: Pattern,
     reach_px: float,
 ) -> _BandPixels:
-    """Classify the pixels of the lines' band by the circles that the lines meet."""
+    """Classify the pixels in the band around the crossed lines."""
     is_near_line, circle = np.ones(len(row), dtype=bool), np.full(len(row), -1)
     if not len(row):
         return _BandPixels(is_near_line, circle)
@@ -181,16 +181,22 @@ def _classify_band(
     return _BandPixels(is_near_line, np.where(within, nearest, -1))
 
 
-def _interleave(chosen: SelectedPixels) -> SelectedPixels:
-    """Reorder pixels so that the first 1/`PARTS` of them covers the whole sheet."""
-    order = np.concatenate([np.arange(k, len(chosen.row), PARTS) for k in range(PARTS)])
-    return chosen.part(order)
+def _interleave(pixels: SelectedPixels) -> SelectedPixels:
+    """Reorder pixels so that the first 1/`SUBSETS` of them covers the whole sheet evenly."""
+    order = np.concatenate([np.arange(k, len(pixels.row), SUBSETS) for k in range(SUBSETS)])
+    return pixels.subset(order)
 
 
 def _outlines(
     pose: Pose, lens: AbstractLens, pattern: Pattern
 ) -> tuple[Float[np.ndarray, "m k 2"], Int[np.ndarray, "m"], Float[np.ndarray, "lines j 2"]]:
-    """Outlines in the image: edges of circles, the circle of each edge, and the two lines."""
+    """Outlines of the ink in the image, px.
+
+    Returns
+    -------
+    (m, k, 2) points on the edges of circles, (m,) index of the circle of each edge, and (lines, j,
+    2) points on the outlines of the crossed lines.
+    """
     of_circle = np.concatenate([np.arange(len(pattern)), np.flatnonzero(pattern.is_ring)])
     radius = np.concatenate([pattern.radius_mm, pattern.inner_radius_mm[pattern.is_ring]])
     circles = circle_points_mm(pattern.centres_mm[of_circle], radius)
@@ -205,9 +211,9 @@ def _outlines(
 def _bounding_box(
     outlines: Float[np.ndarray, "m k 2"], margin_px: int, image_size_px: tuple[int, int]
 ) -> tuple[Int[np.ndarray, "2"], tuple[int, int]]:
-    """Corner (column, row) and shape (rows, columns) of the image region around the outlines.
+    """Region of the image around the outlines: first pixel (column, row) and shape (rows, columns).
 
-    The margin of 10 % includes the ends of the crossed lines, except for long lines.
+    A margin of 10 % includes the ends of the crossed lines, unless the lines are long.
     """
     points = outlines.reshape(-1, 2)
     size = np.ptp(points, axis=0)
@@ -227,7 +233,10 @@ def _draw(canvas: np.ndarray, outline: Int[np.ndarray, "k 2"], value: int, thick
 
 
 def padded_capacities(near_circles: SelectedPixels, near_lines: SelectedPixels) -> tuple[int, int]:
-    """Padded lengths of both groups. Few pairs are possible, because each needs a compilation."""
+    """Numbers of pixels to which both groups of pixels are padded.
+
+    Only a few pairs of numbers are possible, because each pair requires a compilation.
+    """
     many, few = len(near_circles.row), len(near_lines.row)
     capacity = SMALLEST_CAPACITY
     while capacity < max(many, few):
@@ -236,7 +245,7 @@ def padded_capacities(near_circles: SelectedPixels, near_lines: SelectedPixels) 
 
 
 def pad_group(
-    chosen: SelectedPixels,
+    pixels: SelectedPixels,
     image: np.ndarray,
     lens: AbstractLens,
     pattern: Pattern | SquareSheet,
@@ -244,22 +253,25 @@ def pad_group(
     dtype: type,
     shift_px: Float[np.ndarray, "n 2"] | None = None,
 ) -> Group:
-    """Pack selected pixels into padded arrays. Padding repeats the first pixel with weight 0.
+    """Pack selected pixels into padded arrays.
+
+    The padding repeats the first pixel with weight 0.
 
     Parameters
     ----------
-    chosen : the pixels.
+    pixels : the pixels.
     image : grey levels.
     lens : the lens.
     pattern : the sheet, or the raster of a board of squares.
-    capacity : padded length.
+    capacity : padded number of pixels.
     dtype : precision of the arrays.
-    shift_px : (n, 2) known displacement of the sheet's image at each pixel; None for none.
+    shift_px : (n, 2) known displacement of the sheet's image at each pixel; None for no
+        displacement.
     """
-    count = len(chosen.row)
+    count = len(pixels.row)
     if not count:
-        chosen, shift_px = _padding_pixel(pattern), None
-    column, row, circle, squares = chosen
+        pixels, shift_px = _padding_pixel(pattern), None
+    column, row, circle, squares = pixels
     height, width = image.shape
     uv_px = np.stack([column, row], axis=1).astype(np.float64)
     fields = Pixels(
@@ -277,13 +289,13 @@ def pad_group(
         array[: len(leaf)], array[len(leaf) :] = leaf, leaf[0]
         return array
 
-    pixels = jax.tree.map(pad, fields)
-    pixels.weight[count:] = 0.0
-    return Group(pixels, np.asarray(-(-count // CHUNK), dtype=np.int32))
+    padded = jax.tree.map(pad, fields)
+    padded.weight[count:] = 0.0
+    return Group(padded, np.asarray(-(-count // CHUNK), dtype=np.int32))
 
 
 def _circles(pattern: Pattern | SquareSheet, circle: Int[np.ndarray, "n"]) -> Circle:
-    """Circle of each pixel, by its index; index -1 gives an absent circle."""
+    """Circle of each pixel by its index in the pattern; the index -1 gives an absent circle."""
     assert isinstance(pattern, Pattern)
     nearest = np.maximum(circle, 0)
     return Circle(
@@ -295,7 +307,7 @@ def _circles(pattern: Pattern | SquareSheet, circle: Int[np.ndarray, "n"]) -> Ci
 
 
 def _padding_pixel(pattern: Pattern | SquareSheet) -> SelectedPixels:
-    """One pixel without a near edge, for an empty group."""
+    """Selection of one pixel that is not near an edge, used to pad an empty group."""
     squares = None
     if isinstance(pattern, SquareSheet):
         squares = Squares(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 9)))

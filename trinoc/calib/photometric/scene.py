@@ -56,12 +56,13 @@ ImageShift = Callable[[Float[np.ndarray, "n 2"]], Float[np.ndarray, "n 2"]]
 
 
 class Blocks(NamedTuple):
-    """Blocks of the sheet, one around each circle.
+    """Division of the sheet into blocks, one around each circle or grid node.
 
-    Fields
-    ------
-    of_pixel : (n,) index of the block of each pixel: the nearest circle.
-    basis : (n, 3) values (1, x, y) of each pixel relative to the block's centre, in half pitches.
+    Attributes
+    ----------
+    of_pixel : (n,) index of the block of each pixel, which is that of the nearest circle or node.
+    basis : (n, 3) values 1, x, y of each pixel; x and y are relative to the block's centre, in
+        halves of the distance between block centres.
     count : number of blocks.
     """
 
@@ -69,33 +70,35 @@ class Blocks(NamedTuple):
     basis: Float[np.ndarray, "n 3"]
     count: int
 
-    def part(self, chosen: Int[np.ndarray, "m"]) -> "Blocks":
-        """Select pixels by an index."""
-        return Blocks(self.of_pixel[chosen], self.basis[chosen], self.count)
+    def subset(self, index: Int[np.ndarray, "m"]) -> "Blocks":
+        """Blocks of the pixels at the given indices."""
+        return Blocks(self.of_pixel[index], self.basis[index], self.count)
 
 
 class PixelScene(NamedTuple):
-    """Constants of the fit of one image.
+    """Pixels and constants of the fit of one image.
 
-    Fields
-    ------
-    groups, counts : padded pixels near circles only and near lines, and their numbers.
-    chosen : the n pixels of both groups.
+    Attributes
+    ----------
+    groups : padded pixels near circles only, and padded pixels near lines.
+    counts : number of pixels in each of the two groups, without padding.
+    pixels : the n pixels of both groups.
     grey : (n,) observed grey levels.
-    noise_scale : (n,) relative noise of pixels of equal level, for scaled mosaics.
-    noise_floor : standard deviation of the noise in flat parts of the image.
+    noise_scale : (n,) factor by which the scaling of a mosaic multiplied the noise; else 1.
+    noise_floor : standard deviation of the noise in flat parts of the image, grey levels.
     cross, drawing : crossed lines and properties of the sheet.
     model : parameters of the pose that are estimated.
-    white, top : grey level of a full signal, and saturation level (infinity without saturation).
+    white : grey level of a full signal.
+    top : saturation level; infinity if the image is not saturated.
     tuning : constants of the fit.
-    bend : curvature of a known response (0 linear, 1 sRGB); None if it is estimated.
+    response_bend : curvature of a known response (0 linear, 1 sRGB); None if it is estimated.
     blocks : blocks of the n pixels; None until a fit needs them.
-    has_local_light : True if each block has its own light.
+    has_local_light : True if the light of each block is estimated.
     """
 
     groups: tuple[Group, Group]
     counts: tuple[int, int]
-    chosen: SelectedPixels
+    pixels: SelectedPixels
     grey: Float[np.ndarray, "n"]
     noise_scale: Float[np.ndarray, "n"]
     noise_floor: float
@@ -105,14 +108,14 @@ class PixelScene(NamedTuple):
     white: float
     top: float
     tuning: PhotometricTuning
-    bend: float | None = None
+    response_bend: float | None = None
     blocks: Blocks | None = None
     has_local_light: bool = False
 
     @property
     def grid(self) -> PixelGrid:
         """Lookup of neighbouring pixels."""
-        return PixelGrid(self.chosen.column, self.chosen.row, self.tuning.shared_reach_px)
+        return PixelGrid(self.pixels.column, self.pixels.row, self.tuning.shared_reach_px)
 
     @property
     def saturation(self) -> Saturation:
@@ -120,7 +123,10 @@ class PixelScene(NamedTuple):
         return Saturation(np.asarray(self.top), np.asarray(self.tuning.cut_off_levels))
 
     def first(self, share: int) -> "PixelScene":
-        """Scene with the first 1/`share` of the pixels, which covers the sheet evenly."""
+        """Scene with the first 1/`share` of the pixels of each group.
+
+        They cover the sheet evenly.
+        """
         chunks = [-(-count // (share * CHUNK)) for count in self.counts]
         circles, lines = (min(n * CHUNK, c) for n, c in zip(chunks, self.counts, strict=True))
         part = np.concatenate([np.arange(circles), self.counts[0] + np.arange(lines)])
@@ -130,19 +136,24 @@ class PixelScene(NamedTuple):
                 for group, count in zip(self.groups, chunks, strict=True)
             ),
             counts=(circles, lines),
-            chosen=self.chosen.part(part),
+            pixels=self.pixels.subset(part),
             grey=self.grey[part],
             noise_scale=self.noise_scale[part],
-            blocks=None if self.blocks is None else self.blocks.part(part),
+            blocks=None if self.blocks is None else self.blocks.subset(part),
         )
 
     def join_pixels(self, parts: Sequence[ArrayLike]) -> np.ndarray:
-        """Join values of both groups, with pixels along the first axis; removes padding."""
+        """Join one array per group, with pixels along the first axis, and remove the padding."""
         groups = zip(parts, self.counts, strict=True)
         return np.concatenate([np.asarray(part)[:count] for part, count in groups])
 
     def join(self, parts: tuple[ArrayLike, ArrayLike]) -> np.ndarray:
-        """Join values of both groups, with chunks along the first axis; removes padding."""
+        """Join one array per group, with chunks along the first axis and pixels along the last.
+
+        Returns
+        -------
+        Array with the pixels of both groups along the last axis, without padding.
+        """
         flat = [
             np.moveaxis(np.asarray(part), 0, -2).reshape(*part.shape[1:-1], -1) for part in parts
         ]
@@ -155,7 +166,14 @@ class PixelScene(NamedTuple):
         weight: Float[np.ndarray, "n"],
         sigma: Float[np.ndarray, "n"],
     ) -> ImageData:
-        """Data of the image for the compiled programs, with weights and noise of the pixels."""
+        """Data of the image as arguments of the compiled programs.
+
+        Parameters
+        ----------
+        unknowns : set of the unknowns of the image.
+        weight : (n,) reciprocal standard deviation of each residual; 0 for outliers.
+        sigma : (n,) standard deviation of the noise before saturation.
+        """
         groups = []
         for k, group in enumerate(self.groups):
             part = slice(0, self.counts[0]) if k == 0 else slice(self.counts[0], None)
@@ -173,15 +191,15 @@ class PixelScene(NamedTuple):
         return ImageData(groups[0], groups[1], self.cross, white, self.saturation, prior)
 
     def polynomial_light(self, state: ImageState) -> Float[np.ndarray, "n"]:
-        """Grey level of the paper at each pixel, without local light."""
+        """Grey level of the paper at each pixel, (n,), without the local light of blocks."""
         position = self.join_pixels([group.pixels.position for group in self.groups]).T
         return np.asarray(state.light) @ np.asarray(light_terms(position, len(state.light)))
 
 
-def _pad_values(values: np.ndarray, rest: float, group: Group) -> np.ndarray:
-    """Pad values to the length of a group with `rest`."""
+def _pad_values(values: np.ndarray, padding: float, group: Group) -> np.ndarray:
+    """Pad an array to the number of pixels of a padded group; `padding` is the value added."""
     grey = group.pixels.grey
-    array = np.full((len(grey), *values.shape[1:]), rest, grey.dtype)
+    array = np.full((len(grey), *values.shape[1:]), padding, grey.dtype)
     array[: len(values)] = values
     return array
 
@@ -196,13 +214,13 @@ def build_scene(
     encoding: Encoding,
     tuning: PhotometricTuning,
 ) -> tuple[PixelScene, ImageState] | None:
-    """Select pixels and make the initial state of an ideal camera.
+    """Select the pixels of an image, and make the initial state of an ideal camera.
 
     For the parameters see `trinoc.calib.photometric.image_fit.refine_image`.
 
     Returns
     -------
-    Scene and initial state; None if paper and ink have no contrast.
+    Scene and initial state; None if paper and ink have too little contrast.
     """
     noise_scale = np.broadcast_to(np.float32(1.0), image.shape)
     if encoding.bayer is not None:
@@ -214,8 +232,8 @@ def build_scene(
     if not state.contrast > tuning.least_contrast:
         return None
     size = (image.shape[1], image.shape[0])
-    choice = select_pixels(start, lens, pattern, size, _reach_px(state, tuning))
-    parts = (choice.near_circles, choice.near_lines)
+    selection = select_pixels(start, lens, pattern, size, _reach_px(state, tuning))
+    parts = (selection.near_circles, selection.near_lines)
     groups = [
         pad_group(
             part, image, lens, pattern, capacity, np.float32, _shifts(part, start, lens, shift)
@@ -224,28 +242,28 @@ def build_scene(
     ]
     # All programs use them: transfer them to the device once.
     groups = jax.device_put(groups)
-    chosen = jax.tree.map(lambda *pair: np.concatenate(pair), *parts)
-    grey = image[chosen.image_index]
+    pixels = jax.tree.map(lambda *pair: np.concatenate(pair), *parts)
+    grey = image[pixels.image_index]
     scene = PixelScene(
         (groups[0], groups[1]),
         (len(parts[0].row), len(parts[1].row)),
-        chosen,
+        pixels,
         grey.astype(np.float64),
-        noise_scale[chosen.image_index].astype(np.float64),
-        noise_sigma(_cut_out(image, choice), flat=choice.flat),
+        noise_scale[pixels.image_index].astype(np.float64),
+        noise_sigma(_cut_out(image, selection), flat=selection.flat),
         _cross(pattern),
         _drawing(pattern),
         model,
         white_level(image),
         saturation_level(grey, tuning.piled_share),
         tuning,
-        encoding.bend,
+        encoding.response_bend,
     )
     return scene, state
 
 
 def _reach_px(state: ImageState, tuning: PhotometricTuning) -> float:
-    """Largest distance of a selected pixel from an edge."""
+    """Largest distance of a selected pixel from an edge, px."""
     return tuning.reach_sigmas * float(state["sigma_px"]) + tuning.reach_px
 
 
@@ -254,8 +272,14 @@ def first_guess(
 ) -> ImageState:
     """Initial state of an ideal camera, from medians over all circles or squares.
 
-    Levels of paper and ink are read beside and inside them, the blur follows from the gradient at
-    their edges.
+    The levels of ink and paper are read at points inside and beside the circles or squares. The
+    blur follows from the gradient at their edges.
+
+    Parameters
+    ----------
+    image : grey levels.
+    pose, lens : approximate camera, which predicts the positions of ink, edges and paper.
+    pattern : the sheet, or the raster of a board of squares.
     """
     samples_mm = _sample_points(pattern)
     uv_px = np.asarray(project_to_image(pose, lens, np.concatenate(samples_mm)))
@@ -275,7 +299,7 @@ def first_guess(
 
 
 def _sample_points(pattern: Pattern | SquareSheet) -> tuple[Float[np.ndarray, "_n 2"], ...]:
-    """Points of the sheet in ink, on edges, and on paper."""
+    """Points of the sheet, mm: in ink, on edges of ink, and on paper."""
     if isinstance(pattern, SquareSheet):
         return list_control_points(pattern)
     outer, inner = pattern.radius_mm, pattern.inner_radius_mm
@@ -284,11 +308,18 @@ def _sample_points(pattern: Pattern | SquareSheet) -> tuple[Float[np.ndarray, "_
 
 
 def blocks_of_pixels(
-    chosen: SelectedPixels, pose: Pose, lens: AbstractLens, pattern: Pattern | SquareSheet
+    pixels: SelectedPixels, pose: Pose, lens: AbstractLens, pattern: Pattern | SquareSheet
 ) -> Blocks:
-    """Assign each pixel to the block of the nearest circle or node."""
+    """Assign each pixel to the block of the nearest circle or grid node.
+
+    Parameters
+    ----------
+    pixels : the pixels.
+    pose, lens : camera, which predicts the positions of the circles or nodes.
+    pattern : the sheet, or the raster of a board of squares.
+    """
     middle = np.asarray(project_to_image(pose, lens, pattern.centres_mm))
-    uv_px = np.stack([chosen.column, chosen.row], axis=1)
+    uv_px = np.stack([pixels.column, pixels.row], axis=1)
     tree = point_tree(middle)
     block = np.asarray(tree.query(uv_px)[1])
     half_pitch = 0.5 * float(np.median(np.asarray(tree.query(middle, 2)[0])[:, 1]))
@@ -313,19 +344,21 @@ def _cross(pattern: Pattern | SquareSheet) -> Cross:
 
 
 def _shifts(
-    chosen: SelectedPixels, pose: Pose, lens: AbstractLens, shift: ImageShift | None
+    pixels: SelectedPixels, pose: Pose, lens: AbstractLens, shift: ImageShift | None
 ) -> Float[np.ndarray, "_n 2"] | None:
-    """Known displacement of the sheet's image at each pixel."""
-    if shift is None or not len(chosen.row):
+    """Known displacement of the sheet's image at each pixel, px; None without a displacement."""
+    if shift is None or not len(pixels.row):
         return None
     # Fixed-point iteration: the displacement is a function of the point before it.
-    shift_px = np.zeros((len(chosen.row), 2))
+    shift_px = np.zeros((len(pixels.row), 2))
     for _ in range(_SHIFT_ROUNDS):
-        column, row = chosen.column - shift_px[:, 0], chosen.row - shift_px[:, 1]
+        column, row = pixels.column - shift_px[:, 0], pixels.row - shift_px[:, 1]
         shift_px = shift(sheet_points_of_pixels(column, row, pose, lens)[0])
     return shift_px
 
 
-def _cut_out(image: Float[np.ndarray, "h w"], choice: PixelSelection) -> Float[np.ndarray, "k l"]:
-    (row, column), (height, width) = choice.corner, choice.flat.shape
+def _cut_out(
+    image: Float[np.ndarray, "h w"], selection: PixelSelection
+) -> Float[np.ndarray, "k l"]:
+    (row, column), (height, width) = selection.corner, selection.flat.shape
     return image[row : row + height, column : column + width]

@@ -22,7 +22,12 @@ UNEVEN_LIGHT = "uneven light"
 
 
 def contradicts_circles(distance_px: float) -> str:
-    """The fit moved a circle by more than its position can be wrong."""
+    """Return the message that the grey levels contradict the detected circle centres.
+
+    Parameters
+    ----------
+    distance_px : largest distance between the images of a circle centre by the two estimates.
+    """
     return (
         f"the grey levels contradict the circles by {distance_px:.2f} px: check that nothing "
         "covers the sheet."
@@ -30,22 +35,44 @@ def contradicts_circles(distance_px: float) -> str:
 
 
 def response_of(bend: float, sigma: float) -> str:
-    """The camera has a nonlinear response.  sigma : standard deviation of `bend`."""
+    """Return the description of a nonlinear camera response.
+
+    Parameters
+    ----------
+    bend, sigma : estimated curvature of the response (0 linear, 1 sRGB), and its standard
+        deviation.
+    """
     return (
         f"response {PowerResponse(bend).description} ({bend:.2f} +- {sigma:.2f}, 0 linear, 1 sRGB)"
     )
 
 
 def sharpened(amplitude: float) -> str:
-    """Software has sharpened the image by an amplitude."""
+    """Return the description of an image that software has sharpened.
+
+    Parameters
+    ----------
+    amplitude : weight of the sharpening filter.
+    """
     return f"sharpened ({amplitude:.2f})"
 
 
 def moved(length_px: float, angle_deg: float) -> str:
-    """Camera or sheet moved during the exposure."""
+    """Return the description of motion blur: camera or sheet moved during the exposure.
+
+    Parameters
+    ----------
+    length_px : length of the motion in the image.
+    angle_deg : direction of the motion, from u toward v.
+    """
     return f"motion blur of {length_px:.1f} px at {angle_deg:.0f} degrees"
 
 
 def correlated_noise(inflation: float) -> str:
-    """Neighbouring pixels have correlated noise.  inflation : variance of a mean over white's."""
+    """Return the description of noise that is correlated between neighbouring pixels.
+
+    Parameters
+    ----------
+    inflation : variance of a mean over neighbouring pixels, divided by that for uncorrelated noise.
+    """
     return f"correlated noise of neighbouring pixels ({inflation:.1f} times the variance)"

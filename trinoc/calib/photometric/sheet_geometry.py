@@ -23,49 +23,53 @@ _CIRCLE_POINTS, _SIDE_POINTS = 32, 16  # numerical: points of outlines
 
 
 class Ray(NamedTuple):
-    """Ray of a pixel in the camera frame, or rays of many pixels along the last axis.
+    """Ray of a pixel in the camera frame. Arrays for many pixels have one more axis at the end.
 
-    Rays are independent of the pose.
+    A ray does not depend on the pose.
 
-    Fields
-    ------
+    Attributes
+    ----------
     direction : (3,) direction through the centre of the pixel, of any length.
-    by_pixel : (3, 2) derivative of `direction` by (u, v).
-    bend : (3, 3) second derivatives by uu, uv and vv, which make the images of straight edges
-        curved; None for a lens without distortion.
+    by_pixel : (3, 2) derivatives of `direction` with respect to the pixel coordinates (u, v).
+    second_by_pixel : (3, 3) second derivatives of `direction` with respect to uu, uv and vv; None
+        for a lens without distortion. Because of them, images of straight edges are curved.
     """
 
     direction: Float[ArrayLike, "3 *n"]
     by_pixel: Float[ArrayLike, "3 2 *n"]
-    bend: Float[ArrayLike, "3 3 *n"] | None = None
+    second_by_pixel: Float[ArrayLike, "3 3 *n"] | None = None
 
     def move(self, du: Float[ArrayLike, "*n"], dv: Float[ArrayLike, "*n"]) -> "Ray":
-        """Ray at an offset (du, dv) in px, by Taylor expansion."""
+        """Ray of the point (du, dv) px from the pixel, by Taylor expansion."""
         du, dv = du[None], dv[None]
         by_u, by_v = self.by_pixel[:, 0], self.by_pixel[:, 1]
         direction = self.direction + by_u * du + by_v * dv
-        if self.bend is not None:
-            uu, uv, vv = (self.bend[:, j] for j in range(3))
+        if self.second_by_pixel is not None:
+            uu, uv, vv = (self.second_by_pixel[:, j] for j in range(3))
             direction = direction + 0.5 * (uu * du * du + vv * dv * dv) + uv * du * dv
             by_u, by_v = by_u + uu * du + uv * dv, by_v + uv * du + vv * dv
-        return Ray(direction, jnp.stack([by_u, by_v], axis=1), self.bend)
+        return Ray(direction, jnp.stack([by_u, by_v], axis=1), self.second_by_pixel)
 
 
 class SheetPoint(NamedTuple):
-    """Point on the sheet under a pixel, or points under many pixels along the last axis.
+    """Point of the sheet under a pixel, with derivatives.
 
-    Fields
-    ------
+    Arrays for many pixels have one more axis at the end.
+
+    Attributes
+    ----------
     point_mm : (2,) point (X, Y) on the sheet.
-    by_pixel : (2, 2) A, derivative of the point by (u, v), mm per px.
-    depth_slope : (2,) w, derivative of the logarithm of the homogeneous coordinate, per px. The
-        second derivatives of the point are -(A_ij w_k + A_ik w_j) plus `bend`.
-    by_matrix : (3,) ray over the homogeneous coordinate. For a change dM of the homography's rows,
-        d point_i = (dM_i - point_i dM_2) . by_matrix.
-    unit : 1, used as a fusion barrier. XLA recomputes cheap elementwise values at every use.
-        Division by a 1 that it cannot simplify makes it compute them once.
-    bend : (2, 3) additional second derivatives by uu, uv and vv due to lens distortion; None
-        without distortion.
+    by_pixel : (2, 2) matrix A, derivative of the point with respect to the pixel coordinates (u,
+        v), mm per px.
+    depth_slope : (2,) vector w, derivative of the logarithm of the homogeneous coordinate with
+        respect to (u, v), per px. The second derivatives of the point are -(A_ij w_k + A_ik w_j)
+        plus `second_by_pixel`.
+    by_matrix : (3,) ray divided by the homogeneous coordinate. If the rows of the sheet-from-camera
+        homography change by dM, point_i changes by (dM_i - point_i dM_2) . by_matrix.
+    unit : 1, which the compiler cannot simplify. Division by it makes XLA compute a value once and
+        not at every use.
+    second_by_pixel : (2, 3) second derivatives of the point with respect to uu, uv and vv due to
+        lens distortion; None without distortion.
     """
 
     point_mm: Float[ArrayLike, "2 *n"]
@@ -73,22 +77,24 @@ class SheetPoint(NamedTuple):
     depth_slope: Float[ArrayLike, "2 *n"]
     by_matrix: Float[ArrayLike, "3 *n"]
     unit: Float[ArrayLike, "*n"]
-    bend: Float[ArrayLike, "2 3 *n"] | None = None
+    second_by_pixel: Float[ArrayLike, "2 3 *n"] | None = None
 
 
 def sheet_point(
     sheet_from_camera: Float[ArrayLike, "3 3"], ray: Ray, unit: Float[ArrayLike, "*n"]
 ) -> SheetPoint:
-    """Point of the sheet under each ray.
-
-    The code uses sums along the first axis: the compiler fuses these into one loop over thousands
-    of pixels, but not products of small matrices.
+    """Point of the sheet under each ray, with derivatives with respect to the pixel coordinates.
 
     Parameters
     ----------
     sheet_from_camera : homography from rays in the camera frame to the sheet.
     ray : rays of the pixels.
     unit : ones (see `SheetPoint`).
+
+    Notes
+    -----
+    The code uses sums along the first axis. The compiler fuses these into one loop over thousands
+    of pixels, which it does not do for products of small matrices.
     """
     aligned = sheet_from_camera.reshape(3, 3, *[1] * (ray.direction.ndim - 1))
     columns = [aligned[:, k] for k in range(3)]
@@ -105,7 +111,9 @@ def sheet_point(
         by_pixel[2],
         ray.direction * scale,
         unit,
-        None if ray.bend is None else _combine([slope[:2] for slope in slopes], ray.bend[:, None]),
+        None
+        if ray.second_by_pixel is None
+        else _combine([slope[:2] for slope in slopes], ray.second_by_pixel[:, None]),
     )
 
 
@@ -114,14 +122,18 @@ def _combine(weights: Sequence[ArrayLike], rows: Float[ArrayLike, "3 *n"]) -> Ar
 
 
 def lens_rays(
-    lens: AbstractLens, uv_px: Float[np.ndarray, "n 2"], *, with_bend: bool = True
+    lens: AbstractLens, uv_px: Float[np.ndarray, "n 2"], *, with_second: bool = True
 ) -> Ray:
-    """Ray of each pixel, with pixels along the first axis.
+    """Ray of each pixel, with derivatives. The first axis of each array counts the pixels.
 
-    with_bend : True to compute second derivatives for lenses with distortion.
+    Parameters
+    ----------
+    lens : the lens.
+    uv_px : (n, 2) pixel coordinates.
+    with_second : True to compute second derivatives for a lens with distortion.
     """
     if lens.has_distortion:
-        return _through_distortion(lens, uv_px, with_bend)
+        return _through_distortion(lens, uv_px, with_second)
     (fu, fv), (cu, cv) = np.asarray(lens.focal_length_px), np.asarray(lens.principal_point_px)
     skew = float(lens.skew_px)
     y = (uv_px[:, 1] - cv) / fv
@@ -131,11 +143,11 @@ def lens_rays(
 
 
 def _through_distortion(
-    lens: AbstractLens, uv_px: Float[np.ndarray, "n 2"], with_bend: bool
+    lens: AbstractLens, uv_px: Float[np.ndarray, "n 2"], with_second: bool
 ) -> Ray:
     padded = np.concatenate([uv_px, np.zeros((-len(uv_px) % _PIECE, 2))])
     pieces = [
-        _distorted_rays(lens, padded[k : k + _PIECE], with_bend=with_bend)
+        _distorted_rays(lens, padded[k : k + _PIECE], with_second=with_second)
         for k in range(0, len(padded), _PIECE)
     ]
     return jax.tree.map(
@@ -143,15 +155,17 @@ def _through_distortion(
     )
 
 
-@partial(kept_jit, static_argnames=("with_bend",))
-def _distorted_rays(lens: AbstractLens, uv_px: Float[ArrayLike, "n 2"], *, with_bend: bool) -> Ray:
+@partial(kept_jit, static_argnames=("with_second",))
+def _distorted_rays(
+    lens: AbstractLens, uv_px: Float[ArrayLike, "n 2"], *, with_second: bool
+) -> Ray:
     def ray(uv: Float[ArrayLike, "2"]) -> Ray:
         first = jax.jacfwd(lens.unproject)
-        if not with_bend:
+        if not with_second:
             return Ray(lens.unproject(uv), first(uv))
         second = jax.jacfwd(first)(uv)
-        bend = jnp.stack([second[:, 0, 0], second[:, 0, 1], second[:, 1, 1]], axis=1)
-        return Ray(lens.unproject(uv), first(uv), bend)
+        second_by_pixel = jnp.stack([second[:, 0, 0], second[:, 0, 1], second[:, 1, 1]], axis=1)
+        return Ray(lens.unproject(uv), first(uv), second_by_pixel)
 
     return jax.vmap(ray)(uv_px)
 
@@ -160,7 +174,7 @@ def _distorted_rays(lens: AbstractLens, uv_px: Float[ArrayLike, "n 2"], *, with_
 def project_to_image(
     pose: Pose, lens: AbstractLens, points_mm: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 2"]:
-    """Images of points (X, Y) of the sheet, px."""
+    """Project points (X, Y) of the flat sheet, mm, to pixel coordinates."""
     world_mm = jnp.concatenate([points_mm, jnp.zeros_like(points_mm[:, :1])], axis=1)
     return jax.vmap(project_point, in_axes=(None, None, 0))(pose, lens, world_mm)
 
@@ -168,14 +182,17 @@ def project_to_image(
 def circle_points_mm(
     centres_mm: Float[np.ndarray, "n 2"], radius_mm: Float[np.ndarray, "n"]
 ) -> Float[np.ndarray, "n k 2"]:
-    """Points on circles of the sheet: k equidistant points per circle."""
+    """Equidistant points on circles of the sheet, (n, k, 2): k points per circle."""
     angle = np.arange(_CIRCLE_POINTS) * (2 * np.pi / _CIRCLE_POINTS)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return centres_mm[:, None] + radius_mm[:, None, None] * ring
 
 
 def line_outlines_mm(pattern: Pattern) -> Float[np.ndarray, "2 k 2"]:
-    """Closed outlines of the line along X and of the line along Y."""
+    """Points on the closed outlines of the two crossed lines, (2, k, 2).
+
+    The line along X comes first.
+    """
     along = np.linspace(-1.0, 1.0, _SIDE_POINTS)
     half = 0.5 * pattern.line_width_mm
     outlines = []
@@ -187,9 +204,9 @@ def line_outlines_mm(pattern: Pattern) -> Float[np.ndarray, "2 k 2"]:
 
 
 def sheet_from_camera(pose: Pose) -> Float[ArrayLike, "3 3"]:
-    """Homography from rays in the camera frame to points of the sheet, mm.
+    """Homography from rays in the camera frame to points (X, Y, 1) of the sheet, mm.
 
-    Its last row has unit length, which is defined for every pose of the sheet.
+    Its last row has unit length. This normalisation is defined for every pose of the sheet.
     """
     inverse = inverse_3x3(pose.cam_from_sheet)
     return inverse / jnp.sqrt(inverse[2] @ inverse[2])
@@ -201,7 +218,18 @@ homography_of_pose = kept_jit(sheet_from_camera)
 def sheet_points_of_pixels(
     column: Shaped[np.ndarray, "n"], row: Shaped[np.ndarray, "n"], pose: Pose, lens: AbstractLens
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
-    """Points of a flat sheet under pixels, mm, and the largest stretch at each, mm per px."""
+    """Points of a flat sheet under pixels, and the scale of the mapping there.
+
+    Parameters
+    ----------
+    column, row : (n,) pixel coordinates.
+    pose, lens : the camera.
+
+    Returns
+    -------
+    (n, 2) points (X, Y), mm, and (n,) largest length on the sheet that one pixel covers, over all
+    directions, mm per px.
+    """
     point, (along_u, along_v) = sheet_points_and_slopes(column, row, pose, lens)
     squares = (along_u**2).sum(axis=0) + (along_v**2).sum(axis=0)
     area = along_u[0] * along_v[1] - along_u[1] * along_v[0]
@@ -212,9 +240,20 @@ def sheet_points_of_pixels(
 def sheet_points_and_slopes(
     column: Shaped[np.ndarray, "n"], row: Shaped[np.ndarray, "n"], pose: Pose, lens: AbstractLens
 ) -> tuple[Float[np.ndarray, "2 n"], tuple[Float[np.ndarray, "2 n"], Float[np.ndarray, "2 n"]]]:
-    """Points of a flat sheet under pixels, mm, and their derivatives by u and by v."""
+    """Points of a flat sheet under pixels, and their derivatives.
+
+    Parameters
+    ----------
+    column, row : (n,) pixel coordinates.
+    pose, lens : the camera.
+
+    Returns
+    -------
+    (2, n) points (X, Y), mm, and their derivatives with respect to u and to v, each (2, n), mm per
+    px.
+    """
     uv_px = np.stack([column, row], axis=1).astype(np.float64)
-    ray = lens_rays(lens, uv_px, with_bend=False)
+    ray = lens_rays(lens, uv_px, with_second=False)
     direction = np.asarray(ray.direction).T
     matrix = np.asarray(homography_of_pose(pose))
     scale = 1 / (matrix[2] @ direction)

@@ -25,15 +25,15 @@ _FINE, _LONGEST_MAP = 3.0, 2000
 
 
 class SquarePixels(NamedTuple):
-    """Selected pixels of a board of squares.
+    """Pixels near an edge of a board of squares.
 
-    Fields
-    ------
-    column, row : (n,) coordinates of the pixels near an edge.
-    node : (n,) index of the board's node nearest to each pixel.
-    squares : (n, ...) ink around each pixel.
+    Attributes
+    ----------
+    column, row : (n,) pixel coordinates.
+    node : (n,) index of the node of the board's grid that is nearest to each pixel.
+    squares : inked cells around each pixel.
     corner : (row, column) of the first pixel of the board's bounding box.
-    flat : (h, w) mask of the pixels of this box inside ink and not near an edge.
+    flat : (h, w) mask of the pixels in this box that are inside ink and not near an edge.
     """
 
     column: Int[np.ndarray, "n"]
@@ -51,16 +51,18 @@ def square_pixels(
     image_size_px: tuple[int, int],
     reach_px: float,
 ) -> SquarePixels:
-    """Select the pixels near an edge, with at most two lines of edges within reach per axis.
+    """Select the pixels near an edge of the board's ink.
 
-    If the cells of a marker are too small for this, at most its outline is selected.
+    A pixel is not selected if along one axis more than two grid lines with an edge are near it.
+    Where the cells of a marker are too small for this, at most pixels near the marker's outline are
+    selected.
 
     Parameters
     ----------
-    pose, lens : the camera.
+    pose, lens : camera, which predicts the edges.
     sheet : raster of the board.
-    image_size_px : (width, height).
-    reach_px : largest distance from an edge.
+    image_size_px : (width, height) of the image.
+    reach_px : largest distance of a pixel from an edge.
     """
     low, high = _box(pose, lens, sheet, image_size_px, reach_px)
     rows, columns = np.mgrid[low[1] : high[1] + 1, low[0] : high[0] + 1]
@@ -73,10 +75,10 @@ def square_pixels(
     from_y, to_y = (np.searchsorted(sheet.y_mm, point[1] + s * reach_mm[1]) for s in (-1, 1))
     count_x, lines_x = _count_edges(sheet.ink, from_x, to_x, from_y, to_y)
     count_y, lines_y = _count_edges(sheet.ink.T, from_y, to_y, from_x, to_x)
-    none = (count_x == 0) & (count_y == 0)
-    chosen = ahead & ~none & (count_x <= _MOST_EDGES) & (count_y <= _MOST_EDGES)
-    flat = ahead & none & sheet.ink[from_y, from_x]
-    index = np.flatnonzero(chosen)
+    is_edgeless = (count_x == 0) & (count_y == 0)
+    is_selected = ahead & ~is_edgeless & (count_x <= _MOST_EDGES) & (count_y <= _MOST_EDGES)
+    flat = ahead & is_edgeless & sheet.ink[from_y, from_x]
+    index = np.flatnonzero(is_selected)
     cells_x, x_mm = _cells_and_lines(sheet.x_mm, from_x[index], lines_x[index], point[0, index])
     cells_y, y_mm = _cells_and_lines(sheet.y_mm, from_y[index], lines_y[index], point[1, index])
     ink = sheet.ink[cells_y[:, :, None], cells_x[:, None, :]].reshape(-1, 9).astype(float)
@@ -97,7 +99,10 @@ def _box(
     image_size_px: tuple[int, int],
     reach_px: float,
 ) -> tuple[Int[np.ndarray, "2"], Int[np.ndarray, "2"]]:
-    """First and last pixel (column, row) of the board's bounding box, with a margin."""
+    """First and last pixel (column, row) of the board's bounding box in the image.
+
+    It has a margin of 2 `reach_px`.
+    """
     crossings = np.stack(np.meshgrid(sheet.x_mm, sheet.y_mm), axis=-1)
     rim = np.concatenate([crossings[[0, -1]].reshape(-1, 2), crossings[:, [0, -1]].reshape(-1, 2)])
     outline = np.asarray(project_to_image(pose, lens, rim))
@@ -115,18 +120,18 @@ def _count_edges(
     first_row: Int[np.ndarray, "n"],
     last_row: Int[np.ndarray, "n"],
 ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n 2"]]:
-    """Count the grid lines near each pixel that contain an edge.
+    """Count the grid lines near each pixel that contain an edge of ink.
 
     Parameters
     ----------
-    ink : mask of the inked cells.
-    start, end : (n,) range of the lines within reach of each pixel.
-    first_row, last_row : (n,) range of the rows of cells within reach.
+    ink : (r, c) mask of the inked cells.
+    start, end : (n,) range of the grid lines near each pixel, `end` excluded.
+    first_row, last_row : (n,) range of the rows of cells near each pixel, `last_row` included.
 
     Returns
     -------
-    (n,) number of lines with an edge, larger than `_MOST_EDGES` if too many lines are within reach;
-    (n, 2) indices of the first two, -1 for none.
+    (n,) number of lines with an edge, larger than `_MOST_EDGES` if too many lines are near the
+    pixel; (n, 2) indices of the first two such lines, -1 if there are fewer.
     """
     changes = np.concatenate([np.zeros((1, ink.shape[1] - 1)), ink[:, 1:] != ink[:, :-1]])
     above = np.cumsum(changes, axis=0).astype(int)
@@ -145,21 +150,26 @@ def _cells_and_lines(
     lines_mm: Float[np.ndarray, "k"],
     first: Int[np.ndarray, "n"],
     lines: Int[np.ndarray, "n 2"],
-    at_mm: Float[np.ndarray, "n"],
+    pixel_mm: Float[np.ndarray, "n"],
 ) -> tuple[Int[np.ndarray, "n 3"], Float[np.ndarray, "n 2"]]:
-    """Cells before, between and after the two lines near each pixel, and the lines' positions.
+    """Cells around each pixel along one axis, and the positions of the lines between them.
 
-    A missing line (-1) is put at the pixel, between two equal cells.
+    The three cells lie before, between and after two lines. A missing line (-1) is assumed at the
+    pixel, between two equal cells.
 
     Parameters
     ----------
-    lines_mm : (k,) positions of all lines.
-    first : (n,) cell before the first line.
-    lines : (n, 2) indices of the lines.
-    at_mm : (n,) positions of the pixels.
+    lines_mm : (k,) positions of all grid lines.
+    first : (n,) index of the cell before the first line.
+    lines : (n, 2) indices of the two lines, -1 for a missing line.
+    pixel_mm : (n,) positions of the pixels on the board.
+
+    Returns
+    -------
+    (n, 3) indices of the cells, and (n, 2) positions of the lines, mm.
     """
     cells = np.stack([first, first, first], axis=1)
-    positions_mm = np.stack([at_mm, at_mm], axis=1)
+    positions_mm = np.stack([pixel_mm, pixel_mm], axis=1)
     for k in range(_MOST_EDGES):
         exists = lines[:, k] >= 0
         cells[exists, k + 1 :] = lines[exists, k, None] + 1
@@ -170,7 +180,12 @@ def _cells_and_lines(
 def list_control_points(
     sheet: SquareSheet,
 ) -> tuple[Float[np.ndarray, "_i 2"], Float[np.ndarray, "_e 2"], Float[np.ndarray, "_p 2"]]:
-    """Sample points of the board: deep inside ink, on long edges, and deep inside paper."""
+    """Sample points of a board, mm: deep inside ink, on long edges, and deep inside paper.
+
+    Parameters
+    ----------
+    sheet : raster of the board.
+    """
     step_mm = min(float(np.diff(lines).min()) for lines in (sheet.x_mm, sheet.y_mm)) / _FINE
     extent_mm = max(float(np.ptp(lines)) for lines in (sheet.x_mm, sheet.y_mm))
     step_mm = max(step_mm, extent_mm / _LONGEST_MAP)
@@ -194,7 +209,10 @@ def list_control_points(
 def _long_edges(
     ink: Bool[np.ndarray, "_r _c"], x_mm: Float[np.ndarray, "n"], y_mm: Float[np.ndarray, "m"]
 ) -> Float[np.ndarray, "k 2"]:
-    """Centres of the longest straight edges along Y."""
+    """Centres (X, Y) of the longest straight edges along Y, mm.
+
+    x_mm, y_mm : positions of the grid lines.
+    """
     change = ink[1:-1, 1:].astype(int) - ink[1:-1, :-1]
     middles, lengths = [], []
     for column, steps in enumerate(change.T):

@@ -59,13 +59,14 @@ _APPEARANCE = {
 
 
 class ImagePrior(NamedTuple):
-    """Independent Gaussian priors of the unknowns other than the pose.
+    """Independent Gaussian priors of the unknowns of an image other than the pose.
 
-    Fields
-    ------
+    Attributes
+    ----------
     mean : (k,) prior means.
-    weight : (k,) reciprocal prior variances; 0 without a prior.
-    local_weight : (6,) reciprocal prior variances of a block's levels, whose prior means are 0.
+    weight : (k,) reciprocal prior variances; 0 for an unknown without a prior.
+    local_weight : (6,) reciprocal prior variances of the six local levels of a block, whose prior
+        means are 0.
     """
 
     mean: Float[ArrayLike, "k"]
@@ -74,14 +75,15 @@ class ImagePrior(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """Set of unknowns other than the pose; static in compiled programs.
+    """Set of the unknowns of an image other than the pose; a constant of the compiled programs.
 
-    All others have the values of the ideal camera.
+    An unknown that is not in the set has its value for an ideal camera.
 
-    Fields
-    ------
+    Attributes
+    ----------
     appearance : names of the unknowns of blur, ink and response.
-    light_terms, veil_terms : numbers of terms of the two polynomials, lower degrees first.
+    light_terms, veil_terms : numbers of coefficients of the polynomials of light and of veil, lower
+        degrees first.
     """
 
     appearance: tuple[str, ...]
@@ -95,21 +97,21 @@ class Unknowns(NamedTuple):
 
     @property
     def is_ideal(self) -> bool:
-        """True for the ideal camera: linear response, Gaussian blur, quadratic light."""
+        """True for the set of an ideal camera: linear response, Gaussian blur, quadratic light."""
         return self == IDEAL
 
     def indices(self, *names: str) -> list[int]:
-        """Indices of unknowns of the appearance by their names."""
+        """Indices of unknowns of blur, ink and response by their names."""
         return [self.appearance.index(name) for name in names]
 
     @property
     def light(self) -> range:
-        """Indices of the terms of the light."""
+        """Indices of the coefficients of the light, which is the grey level of the paper."""
         return range(len(self.appearance), len(self.appearance) + self.light_terms)
 
     @property
     def veil(self) -> range:
-        """Indices of the terms of the veil."""
+        """Indices of the coefficients of the veil (additional light on paper and ink alike)."""
         return range(len(self.appearance) + self.light_terms, self.size)
 
     @property
@@ -119,14 +121,16 @@ class Unknowns(NamedTuple):
 
     @property
     def uneven_light_indices(self) -> list[int]:
-        """Indices of the terms for uneven light: light beyond a quadratic, and the veil's slopes.
+        """Indices of the unknowns that describe uneven light.
 
-        The constant of the veil is excluded: it is equivalent to changes of light and ratio.
+        These are the terms of the light beyond a quadratic polynomial, and the slopes of the veil.
+        The constant of the veil is excluded, because it is equivalent to a change of light and of
+        ink reflectance.
         """
         return [*self.light[QUADRATIC_TERMS:], *self.veil[1:]]
 
     def bounds(self) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-        """Lower and upper bounds of all unknowns."""
+        """Lower and upper bounds of all unknowns, each (k,)."""
         lower, upper = np.full((2, self.size), [[-np.inf], [np.inf]])
         for index, name in enumerate(self.appearance):
             lower[index], upper[index] = _APPEARANCE[name][:2]
@@ -135,8 +139,11 @@ class Unknowns(NamedTuple):
     def prior(self, tuning: PhotometricTuning, *, local: bool) -> ImagePrior:
         """Prior of all unknowns other than the pose.
 
-        local : True if blocks have their own light. The polynomials then have a prior too, because
-            images hardly separate them from local light.
+        Parameters
+        ----------
+        tuning : constants of the fit, with the widths of the priors.
+        local : True if each block has its own light. Then the polynomials have a prior too, because
+            an image hardly separates them from the local light.
         """
         priors = _appearance_priors(tuning)
         mean, sigma = np.zeros(self.size), np.full(self.size, np.inf)
@@ -149,7 +156,7 @@ class Unknowns(NamedTuple):
 
 
 def _appearance_priors(tuning: PhotometricTuning) -> dict[str, tuple[float, float]]:
-    """Prior means and standard deviations of the unknowns of the appearance, by name."""
+    """Prior mean and standard deviation of unknowns of blur, ink and response, by name."""
     return {
         "kurtosis": (0.0, tuning.kurtosis_width),
         "sixth": (0.0, tuning.sixth_width),
@@ -174,13 +181,14 @@ FULL = Unknowns(tuple(_APPEARANCE), LIGHT_TERMS, QUADRATIC_TERMS)
 class ImageState(eqx.Module):
     """Values of all unknowns of one image.
 
-    Fields
-    ------
+    Attributes
+    ----------
     pose : pose of the camera.
-    values : (k,) appearance, light and veil.
-    levels : (6, blocks) local terms (1, x, y) of light, relative to the polynomial, and of veil,
-        grey levels. The number of blocks is 0 without local light.
-    unknowns : the set of unknowns.
+    values : (k,) values of the unknowns other than the pose: blur, ink and response, light, veil.
+    levels : (6, blocks) local levels of each block: coefficients of 1, x, y of the light, as a
+        fraction of the polynomial light, and of the veil, grey levels. No blocks if the light is
+        not local.
+    unknowns : set of the unknowns in `values`.
     """
 
     pose: Pose
@@ -189,24 +197,27 @@ class ImageState(eqx.Module):
     unknowns: Unknowns = eqx.field(static=True)
 
     def __getitem__(self, name: str) -> Float[ArrayLike, ""]:
-        """Value of an unknown of the appearance, or that of the ideal camera without it."""
+        """Value of an unknown of blur, ink or response, by its name.
+
+        An unknown that is not in the set has its value for an ideal camera.
+        """
         if name not in self.unknowns.appearance:
             return np.asarray(_APPEARANCE[name][2], self.values.dtype)
         return self.values[self.unknowns.appearance.index(name)]
 
     @property
     def light(self) -> Float[ArrayLike, "m"]:
-        """Coefficients of the polynomial of the paper's grey level."""
+        """Coefficients of the polynomial that gives the grey level of the paper."""
         return self.values[np.array(self.unknowns.light)]
 
     @property
     def veil(self) -> Float[ArrayLike, "m"]:
-        """Coefficients of the veil, the additional light equal for paper and ink."""
+        """Coefficients of the polynomial of the veil (additional light on paper and ink alike)."""
         return self.values[np.array(self.unknowns.veil, dtype=int)]
 
     @property
     def contrast(self) -> float:
-        """Difference of the grey levels of paper and ink in the centre of the image."""
+        """Grey level of the paper minus that of the ink, in the centre of the image."""
         return float(-self["ratio"] * self.light[0])
 
     def move(
@@ -215,8 +226,12 @@ class ImageState(eqx.Module):
         levels: Float[ArrayLike, "6 blocks"],
         model: PoseModel,
     ) -> "ImageState":
-        """State after a step of (pose, values), with new levels, clipped to the bounds.
+        """State after a step, clipped to the bounds of the unknowns.
 
+        Parameters
+        ----------
+        step : (p + k,) step of the pose and of `values`.
+        levels : (6, blocks) new local levels.
         model : parameters of the pose that the step changes.
         """
         pose = self.pose.retract(step[: model.size], model, step_unit_mm(self.pose, model))
@@ -230,9 +245,14 @@ class ImageState(eqx.Module):
 def ideal_state(
     pose: Pose, sigma_px: float, ratio: float, light: Float[np.ndarray, "_n"]
 ) -> ImageState:
-    """State of an ideal camera without spread of ink.
+    """State of an ideal camera for a print whose ink has not spread.
 
-    ratio : grey level of ink over that of paper, minus one. light : first terms of the light.
+    Parameters
+    ----------
+    pose : pose of the camera.
+    sigma_px : width of the blur.
+    ratio : grey level of ink divided by that of paper, minus 1.
+    light : first coefficients of the light.
     """
     values = np.zeros(IDEAL.size)
     values[IDEAL.indices("sigma_px", "ratio")] = sigma_px, ratio
@@ -241,7 +261,15 @@ def ideal_state(
 
 
 def full_state(ideal: ImageState, tuning: PhotometricTuning) -> ImageState:
-    """State of the full model for an ideal camera; its other unknowns have their prior means."""
+    """State of the full model with the values of an ideal camera.
+
+    Unknowns that the ideal camera does not have are at their prior means.
+
+    Parameters
+    ----------
+    ideal : state of an ideal camera.
+    tuning : constants of the fit, with the priors.
+    """
     values = np.array(FULL.prior(tuning, local=False).mean)
     values[FULL.ideal_camera_indices] = ideal.values
     return ImageState(ideal.pose, values, ideal.levels, FULL)
@@ -250,8 +278,9 @@ def full_state(ideal: ImageState, tuning: PhotometricTuning) -> ImageState:
 def step_unit_mm(pose: Pose, model: PoseModel) -> ScalarLike:
     """Unit of length in steps of a pose, mm.
 
-    It is the distance from the camera to the sheet along the optical axis. For `PoseModel.RIGID`,
-    where that axis may miss the sheet, it is the distance from the camera to the sheet's origin.
+    The unit is the distance from the camera to the sheet along the optical axis. For
+    `PoseModel.RIGID`, where this axis may miss the sheet, the unit is the distance from the camera
+    to the sheet's origin.
     """
     if model is PoseModel.RIGID:
         return jnp.sqrt(pose.translation_mm @ pose.translation_mm)

@@ -16,7 +16,7 @@ from trinoc.calib.photometric.image_fit import ImageRefinement, refine_image
 from trinoc.calib.photometric.scene import ImageShift
 from trinoc.calib.photometric.sheet_geometry import project_to_image
 from trinoc.calib.problem.image_quality import ImageQuality
-from trinoc.calib.problem.sheet_problem import PictureFit
+from trinoc.calib.problem.sheet_problem import GreyLevelFit
 from trinoc.calib.targets.pattern import Pattern
 from trinoc.calib.targets.squares import SquareSheet
 from trinoc.calib.tuning.every_group import TUNING
@@ -39,23 +39,25 @@ def refine_views(
     shifts: Mapping[str, ImageShift],
     encoding: Encoding = AS_DELIVERED,
     tuning: PhotometricTuning = TUNING.photometric,
-) -> dict[str, PictureFit]:
-    """Fit the grey levels of each image from its initial pose.
+) -> dict[str, GreyLevelFit]:
+    """Fit the grey levels of each camera's image, from an initial pose.
 
     Parameters
     ----------
     images, starts, lenses : image, initial pose and lens of each camera, by name.
     pattern : the sheet, or the raster of a board of squares.
     model : parameters of the pose that are estimated.
-    shifts : known displacements of the sheet's image, for cameras that have one.
-    encoding, tuning : see `refine_image`.
+    shifts : by camera, function that returns known displacements of the sheet's image, px; only for
+        cameras with a displacement.
+    encoding, tuning : see `trinoc.calib.photometric.image_fit.refine_image`.
 
     Returns
     -------
-    Result of each camera, or the reason why it has none.
+    Result of each camera by name; a result contains either image positions or the reason why they
+    are missing.
     """
 
-    def refine(name: str) -> PictureFit:
+    def refine(name: str) -> GreyLevelFit:
         start, shift = starts[name], shifts.get(name)
         return _refine(images[name], start, pattern, lenses[name], model, shift, encoding, tuning)
 
@@ -63,7 +65,17 @@ def refine_views(
 
 
 def run_in_threads(task: Callable[[str], _Result], names: Sequence[str]) -> dict[str, _Result]:
-    """Run an independent task for each camera in threads; results by name."""
+    """Run a task for each camera, in parallel threads.
+
+    Parameters
+    ----------
+    task : function of a camera's name; the calls must be independent.
+    names : names of the cameras.
+
+    Returns
+    -------
+    Results by camera name.
+    """
 
     def run(name: str) -> _Result:
         # The precision is a setting of the thread.
@@ -77,9 +89,10 @@ def run_in_threads(task: Callable[[str], _Result], names: Sequence[str]) -> dict
 
 @functools.cache
 def _threads() -> ThreadPoolExecutor:
-    """Thread pool of all fits, reused because the compiler never frees its memory per thread.
+    """Thread pool of all fits, with one thread per core.
 
-    One thread per core: the fit of an image of 16 megapixels needs 300 MB.
+    The pool is reused, because the compiler never frees its memory per thread. The fit of an image
+    of 16 megapixels needs 300 MB.
     """
     return ThreadPoolExecutor(multiprocessing.cpu_count(), thread_name_prefix="trinoc-refine")
 
@@ -93,9 +106,9 @@ def _refine(
     shift: ImageShift | None,
     encoding: Encoding,
     tuning: PhotometricTuning,
-) -> PictureFit:
-    def failure(note: str) -> PictureFit:
-        return PictureFit(None, None, note)
+) -> GreyLevelFit:
+    def failure(note: str) -> GreyLevelFit:
+        return GreyLevelFit(None, None, note)
 
     # A threshold displaces edges; the model would attribute this to uneven light.
     if len(np.unique(image[:: len(image) // 8 + 1])) <= 2:
@@ -117,7 +130,7 @@ def _refine(
         return failure(sentences.contradicts_circles(distance_px))
     quality = _quality(refined)
     is_processed = refined.overshoot > tuning.processed_overshoot
-    return PictureFit(refined.points, quality, None, is_processed)
+    return GreyLevelFit(refined.points, quality, None, is_processed)
 
 
 def _quality(refined: ImageRefinement) -> ImageQuality:

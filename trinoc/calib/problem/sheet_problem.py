@@ -30,7 +30,7 @@ Method = Literal["pixels", "points"]
 
 
 @dataclass(frozen=True, eq=False)
-class PictureFit:
+class GreyLevelFit:
     """Result of the fit to the grey levels of one image, or the reason why the fit failed.
 
     Attributes
@@ -80,7 +80,7 @@ class SheetCamera:
     lens_factor: Float[np.ndarray, "_k _r"] | None
     pose: Pose
     image: Float[np.ndarray, "_h _w"] | None = None
-    grey_level_fit: PictureFit | None = None
+    grey_level_fit: GreyLevelFit | None = None
     grey_level_points: SheetPoints | None = None
     ink_spread_mm: float = 0.0
     agreement_p_value: float = float("nan")

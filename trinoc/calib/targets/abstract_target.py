@@ -15,13 +15,13 @@ A_BOARD = "a Pattern, Chessboard, Charuco, AprilGrid or BoardSet"
 
 
 class AbstractTarget(Value):
-    """A board or a set of boards: numbered points that a detector can locate and label.
+    """A board or a set of boards: labelled points that a detector can locate in an image.
 
-    A point is the centre of a circle or a corner. Its index in `centres_mm` is its label.
-    Seen from the printed side, X points right and Y up; Z points out of the board.
+    A point is the centre of a circle or a corner, on a flat board. Its label is its index in
+    `centres_mm`. Seen from the printed side, X points right and Y up; Z points out of the board.
 
-    Fields
-    ------
+    Attributes
+    ----------
     name : name of the board, used in messages and files.
     centres_mm : (n, 2) positions (X, Y) of the points in the board's frame.
     radius_mm : (n,) radius of the circle around each point; 0 for a corner.
@@ -39,7 +39,14 @@ class AbstractTarget(Value):
 
 
 class Disc(NamedTuple):
-    """Filled circle of a drawing, painted in ink or in paper colour."""
+    """Filled circle of a drawing.
+
+    Attributes
+    ----------
+    centre_mm : centre (X, Y).
+    radius_mm : radius.
+    is_ink : True for ink; False for the colour of the paper.
+    """
 
     centre_mm: tuple[float, float]
     radius_mm: float
@@ -47,36 +54,46 @@ class Disc(NamedTuple):
 
 
 class Polygon(NamedTuple):
-    """Filled polygon of a drawing, painted in ink or in paper colour."""
+    """Filled polygon of a drawing.
+
+    Attributes
+    ----------
+    corners_mm : (n, 2) corners (X, Y) in order.
+    is_ink : True for ink; False for the colour of the paper.
+    """
 
     corners_mm: Float[np.ndarray, "n 2"]
     is_ink: bool
 
 
 class Marks(NamedTuple):
-    """Features by which an image identifies a board.
+    """Features of a board that distinguish it from other boards in an image.
 
-    An image cannot distinguish two boards of the same family whose numbers overlap.
+    An image cannot distinguish two boards of the same family whose ranges of marker ids overlap.
 
-    Fields
-    ------
-    family : name of the kind of features; boards of different families never look alike.
-    numbers : marker numbers of the board within the family.
-    likeness : message for two boards with overlapping marks: the shared features and the remedy.
-        "{numbers}" is replaced by the shared numbers.
+    Attributes
+    ----------
+    family : name of the kind of features. Boards of different families never look alike.
+    marker_ids : ids of the board's markers within the family.
+    likeness : message for two boards that cannot be distinguished: the features that both have, and
+        the remedy. "{numbers}" is replaced by the common ids.
     """
 
     family: str
-    numbers: range
+    marker_ids: range
     likeness: str
 
     def likeness_to(self, other: "Marks") -> str | None:
-        """Describe the marks shared with another board, and the remedy.
+        """Return a message if an image cannot distinguish this board from another; else None.
 
-        None if an image can distinguish the two boards.
+        The message names the features that both boards have.
+
+        Parameters
+        ----------
+        other : features of the other board.
         """
-        first = max(self.numbers.start, other.numbers.start)
-        last = min(self.numbers.stop, other.numbers.stop) - 1
+        first = max(self.marker_ids.start, other.marker_ids.start)
+        last = min(self.marker_ids.stop, other.marker_ids.stop) - 1
         if self.family != other.family or last < first:
             return None
         numbers = f"s {first} to {last}" if last > first else f" {first}"
@@ -89,11 +106,13 @@ class AbstractBoard(AbstractTarget):
     To add a kind of board, write a class in this package, list it in `board_set.BOARDS`, and
     register its detector in `trinoc.calib.detection.registry`.
 
-    Class fields
-    ------------
+    Attributes
+    ----------
     kind : name of the kind in layout files and on the command line.
-    layout : maps each key of a layout file to a field of the class: a number, boolean or string.
-    added_keys : keys of `layout` that files of earlier versions lack; the fields have defaults.
+    layout : field of the class for each key of a layout file; its value is a number, boolean or
+        string.
+    added_keys : keys of `layout` that are missing in files of earlier versions; their fields have
+        default values.
     """
 
     kind: ClassVar[str]
@@ -103,8 +122,8 @@ class AbstractBoard(AbstractTarget):
     @property
     @abc.abstractmethod
     def marks(self) -> Marks:
-        """Features by which an image identifies the board."""
+        """Features that distinguish the board from other boards in an image."""
 
     @abc.abstractmethod
     def drawing(self) -> Sequence[Disc | Polygon]:
-        """Shapes of ink and of paper colour, in painting order: later shapes cover earlier ones."""
+        """Shapes of ink and of paper colour, in painting order."""

@@ -23,22 +23,23 @@ _CORNERS = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
 
 class AprilGrid(AbstractSquareBoard):
-    """Grid of AprilTags, numbered along the rows from the lowest row upward.
+    """Grid of AprilTags. The tag ids increase along the rows, from the lowest row upward.
 
-    A dark square as wide as the gap fills each crossing of two gaps. Every tag corner is therefore
-    a saddle point like a chessboard corner. A partly visible board can be labelled.
+    A dark square as wide as the gap between tags fills each crossing of two gaps. Every tag corner
+    is therefore a saddle point like a corner of a chessboard. The points can also be labelled if
+    only a part of the board is visible.
 
     The points are the tag corners, tag by tag: four per tag, from its lower left counter-clockwise.
     The origin is the centre of the board.
 
-    Fields
-    ------
+    Attributes
+    ----------
     rows, columns : numbers of tags.
-    tag_mm : side of a tag's ink including its border.
+    tag_mm : side of a tag's ink, including its border.
     spacing : gap between two tags divided by the side of a tag; Kalibr's tagSpacing.
     dictionary : tag family, one of `DICTIONARIES`.
     border : width of a tag's black border in cells: 2 for Kalibr's boards, 1 for most others.
-    first : number of the tag at the lower left.
+    first : id of the tag at the lower left.
     name : name of the board; made from its sizes if None.
 
     References
@@ -105,7 +106,7 @@ class AprilGrid(AbstractSquareBoard):
 
     @property
     def tags_mm(self) -> Float[np.ndarray, "t 2"]:
-        """Centres of the tags in the board's frame, in the order of their numbers."""
+        """Centres of the tags in the board's frame, in the order of their ids."""
         return grid_mm(self.rows, self.columns, self._pitch_mm, top_first=False)
 
     @property
@@ -119,24 +120,31 @@ class AprilGrid(AbstractSquareBoard):
 
     @property
     def nodes_mm(self) -> Float[np.ndarray, "k 2"]:
-        """Corners of the tags; every edge of the ink belongs to the nearest one."""
+        """Corners of the tags. Every edge of ink belongs to the nearest corner."""
         return self.centres_mm
 
     @property
     def marks(self) -> Marks:
-        """Tag family and numbers, by which an image identifies the board."""
-        return marks_of_markers(self.dictionary, self.numbers)
+        """Tag family and tag ids, which distinguish the board in an image."""
+        return marks_of_markers(self.dictionary, self.marker_ids)
 
     @property
-    def numbers(self) -> range:
-        """Numbers of the board's tags."""
+    def marker_ids(self) -> range:
+        """Ids of the board's tags."""
         return range(self.first, self.first + self.rows * self.columns)
 
     def cell_grids(self, *, quarters: int = 0) -> list[CellGrid]:
-        """Cells of the tags, and the squares at the crossings of the gaps and along the rim."""
+        """Cells of the tags, and dark squares at the crossings of the gaps.
+
+        Squares along the outer edge of the board are included.
+
+        Parameters
+        ----------
+        quarters : see `AbstractSquareBoard.cell_grids`.
+        """
         dictionary, grids = opencv_dictionary(self.dictionary), []
-        for number, middle in enumerate(self.tags_mm, self.first):
-            cells = np.rot90(marker_cells(dictionary, number, border=self.border), quarters)
+        for marker_id, middle in enumerate(self.tags_mm, self.first):
+            cells = np.rot90(marker_cells(dictionary, marker_id, border=self.border), quarters)
             grids.append(CellGrid(cells, self.tag_mm / len(cells), middle))
         crossings = grid_mm(self.rows + 1, self.columns + 1, self._pitch_mm, top_first=False)
         square, gap_mm = np.ones((1, 1), dtype=bool), self.tag_mm * self.spacing
@@ -147,7 +155,7 @@ class AprilGrid(AbstractSquareBoard):
 def _corners_mm(
     rows: int, columns: int, pitch_mm: float, tag_mm: float
 ) -> Float[np.ndarray, "n 2"]:
-    """Corners of the tags in the board's frame; read-only, because the array is cached."""
+    """Corners of the tags in the board's frame, mm. The array is cached and therefore read-only."""
     middles = grid_mm(rows, columns, pitch_mm, top_first=False)
     corners = (middles[:, None] + tag_mm * _CORNERS).reshape(-1, 2)
     corners.flags.writeable = False

@@ -20,22 +20,22 @@ BOARDS: dict[str, type[AbstractBoard]] = {
 
 
 class BoardSet(AbstractTarget):
-    """Boards fixed to each other with unknown relative poses, which a calibration estimates.
+    """Boards fixed to each other. A calibration estimates their relative poses.
 
     The first board is the reference: its frame is the frame of the set. The points of the set are
-    those of all boards in order; each point is given in the frame of its own board.
+    the points of all boards in order. Each point is given in the frame of its own board.
 
-    Fields
-    ------
+    Attributes
+    ----------
     names : names of the boards, in order.
-    boards : the boards. An image must be able to distinguish them (`Marks`): by kind, number of
-        corners, dictionary, or marker numbers.
+    boards : the boards. An image must be able to distinguish them by kind, number of corners,
+        dictionary, or marker ids.
     name : name of the set; made from the names of its boards if None.
 
     Raises
     ------
-    InputError : the set is empty, contains a set, or has two boards that share a name or look
-        alike.
+    InputError : the set is empty or contains a set, or two of its boards have the same name or
+        cannot be distinguished.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -87,12 +87,17 @@ class BoardSet(AbstractTarget):
 
     @property
     def board_of_point(self) -> Int[np.ndarray, "n"]:
-        """Index into `boards` for each point."""
+        """Index of the board of each point, (n,)."""
         return np.repeat(np.arange(len(self.boards)), [len(board) for board in self.boards])
 
 
 def list_boards(target: AbstractTarget) -> tuple[AbstractTarget, ...]:
-    """Boards of a set; a single board yields itself."""
+    """List the boards of a set; the list for a single board contains this board.
+
+    Parameters
+    ----------
+    target : a board or a set of boards.
+    """
     return target.boards if isinstance(target, BoardSet) else (target,)
 
 
@@ -102,17 +107,32 @@ IN_SET_NAMES = ("turn_x_deg", "turn_y_deg", "turn_z_deg", "x_mm", "y_mm", "z_mm"
 
 
 def board_names(target: AbstractTarget) -> tuple[str, ...]:
-    """Names of the boards of a target, in order."""
+    """Names of the boards of a set in order, or the name of a single board.
+
+    Parameters
+    ----------
+    target : a board or a set of boards.
+    """
     return target.names if isinstance(target, BoardSet) else (target.name,)
 
 
 def board_prefixes(target: AbstractTarget) -> tuple[str, ...]:
-    """Prefix of each board's parameter names, such as "board.left."."""
+    """Prefix of the parameter names of each board, such as "board.left.".
+
+    Parameters
+    ----------
+    target : a board or a set of boards.
+    """
     if not isinstance(target, BoardSet):
         return ("board.",)
     return tuple(f"board.{name}." for name in target.names)
 
 
 def first_point_indices(target: AbstractTarget) -> Int[np.ndarray, "b"]:
-    """Index of each board's first point among all points of the target."""
+    """Index of the first point of each board among all points of the target.
+
+    Parameters
+    ----------
+    target : a board or a set of boards.
+    """
     return np.cumsum([0, *(len(board) for board in list_boards(target))])[:-1]

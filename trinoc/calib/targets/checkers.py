@@ -28,11 +28,11 @@ class Chessboard(AbstractSquareBoard):
 
     The corners are ordered row by row from the top left. The origin is the centre of the board.
 
-    Fields
-    ------
-    rows, columns : numbers of inner corners, one less than the numbers of squares. OpenCV's
+    Attributes
+    ----------
+    rows, columns : numbers of inner corners, each one less than the number of squares. OpenCV's
         patternSize is (columns, rows).
-    square_mm : side of a square. If it is unknown, give 1: lengths are then in squares.
+    square_mm : side of a square. If it is unknown, give 1; the unit of length is then a square.
     name : name of the board; made from its sizes if None.
     """
 
@@ -65,12 +65,12 @@ class Chessboard(AbstractSquareBoard):
 
     @property
     def nodes_mm(self) -> Float[np.ndarray, "k 2"]:
-        """Corners of all squares, those on the rim included."""
+        """Corners of all squares, including those on the outer edge of the board."""
         return grid_mm(self.rows + 2, self.columns + 2, self.square_mm, top_first=True)
 
     @property
     def marks(self) -> Marks:
-        """Number of inner corners in both directions, which a search for a chessboard needs."""
+        """Numbers of inner corners, which distinguish the board from other chessboards."""
         fewer, more = sorted((self.rows, self.columns))
         return Marks(
             f"chessboard of {fewer} x {more}",
@@ -80,7 +80,12 @@ class Chessboard(AbstractSquareBoard):
         )
 
     def cell_grids(self, *, quarters: int = 0) -> list[CellGrid]:
-        """Dark squares, as one grid."""
+        """Dark squares, as one grid.
+
+        Parameters
+        ----------
+        quarters : without effect, because the board has no tags.
+        """
         dark = dark_squares(self.rows + 1, self.columns + 1)
         return [CellGrid(dark, self.square_mm, np.zeros(2))]
 
@@ -88,36 +93,37 @@ class Chessboard(AbstractSquareBoard):
     def turns(self) -> Int[np.ndarray, "k n"]:
         """Permutations of the corners by the rotations that map the board onto itself.
 
-        One row per rotation, the identity first: entry i is the corner that moves to the position
-        of corner i.
+        Each row is one rotation, the identity first. Entry i is the index of the corner that moves
+        to the position of corner i.
         """
         grid = np.arange(self.rows * self.columns).reshape(self.rows, self.columns)
         dark = dark_squares(self.rows + 1, self.columns + 1)
-        same = [
+        permutations = [
             np.rot90(grid, quarters).ravel()
             for quarters in range(4)
             if np.rot90(grid, quarters).shape == grid.shape
             and np.array_equal(np.rot90(dark, quarters), dark)
         ]
-        return np.stack(same)
+        return np.stack(permutations)
 
 
 class Charuco(AbstractSquareBoard):
     """Chessboard with ArUco markers in its light squares, like `cv2.aruco.CharucoBoard`.
 
-    A partly visible board can be labelled. The corners have OpenCV's order: row by row from the
-    top left. The origin is the centre of the board.
+    The corners can also be labelled if only a part of the board is visible. They have OpenCV's
+    order: row by row from the top left. The origin is the centre of the board.
 
-    Fields
-    ------
+    Attributes
+    ----------
     rows, columns : numbers of squares. OpenCV's size is (columns, rows).
     square_mm : side of a square.
     marker_mm : side of a marker; 0.75 `square_mm` if None.
     dictionary : marker dictionary, such as "4x4_50"; one of `DICTIONARIES`.
-    legacy : True for the layout before OpenCV 4.6, which has a marker in the top left square if
-        the number of rows is even.
-    first : number of the first marker.
-    inverted : True if black and white are exchanged in print. The paper around stays white.
+    legacy : True for the layout before OpenCV 4.6, which has a marker in the top left square if the
+        number of rows is even.
+    first : id of the first marker.
+    inverted : True if black and white are exchanged in print. The paper around the board stays
+        white.
     mirrored : True for a mirror-image print, such as the back of a two-sided board. Seen from the
         printed side, the first corner is at the top right.
     name : name of the board; made from its sizes if None.
@@ -184,43 +190,51 @@ class Charuco(AbstractSquareBoard):
 
     @property
     def nodes_mm(self) -> Float[np.ndarray, "k 2"]:
-        """Corners of all squares, those on the rim included."""
+        """Corners of all squares, including those on the outer edge of the board."""
         return grid_mm(self.rows + 1, self.columns + 1, self.square_mm, top_first=True)
 
     @property
     def marks(self) -> Marks:
-        """Marker numbers. Inverted or mirrored markers belong to a family of their own."""
-        marks = marks_of_markers(self.dictionary, self.numbers)
+        """Marker ids, which distinguish the board in an image.
+
+        Inverted and mirrored markers each form a separate family.
+        """
+        marks = marks_of_markers(self.dictionary, self.marker_ids)
         looks = [word for word in ("inverted", "mirrored") if getattr(self, word)]
         return marks._replace(family=" ".join([marks.family, *looks]))
 
     @property
-    def numbers(self) -> range:
-        """Numbers of the board's markers."""
+    def marker_ids(self) -> range:
+        """Ids of the board's markers."""
         return range(self.first, self.first + self.rows * self.columns // 2)
 
     @property
     def _is_dark(self) -> Bool[np.ndarray, "rows columns"]:
-        """Mask of the dark squares of the plain print (neither inverted nor mirrored).
+        """Mask of the dark squares of a print that is neither inverted nor mirrored.
 
-        The light squares contain the markers, numbered row by row from the top left.
+        The light squares contain the markers. Their ids increase row by row from the top left.
         """
         return dark_squares(self.rows, self.columns) ^ (self.legacy and self.rows % 2 == 0)
 
     @property
     def markers_mm(self) -> Float[np.ndarray, "m 2"]:
-        """Centres of the markers in the board's frame, in the order of their numbers."""
+        """Centres of the markers in the board's frame, in the order of their ids."""
         counts = (self.rows, self.columns)
         squares = grid_mm(*counts, self.square_mm, top_first=True, right_first=self.mirrored)
         return squares[~self._is_dark.ravel()]
 
     def cell_grids(self, *, quarters: int = 0) -> list[CellGrid]:
-        """Dark squares and inked marker cells; for an inverted board, all cells except these."""
+        """Dark squares and inked marker cells. On an inverted board, all other cells are inked.
+
+        Parameters
+        ----------
+        quarters : see `AbstractSquareBoard.cell_grids`.
+        """
         dictionary, middle_mm = opencv_dictionary(self.dictionary), np.zeros(2)
         across = slice(None, None, -1 if self.mirrored else 1)
         grids = [CellGrid(self._is_dark[:, across], self.square_mm, middle_mm)]
-        for number, middle in enumerate(self.markers_mm, self.first):
-            cells = np.rot90(marker_cells(dictionary, number, border=1), quarters)[:, across]
+        for marker_id, middle in enumerate(self.markers_mm, self.first):
+            cells = np.rot90(marker_cells(dictionary, marker_id, border=1), quarters)[:, across]
             grids.append(CellGrid(cells, self.marker_mm / len(cells), middle))
         if not self.inverted:
             return grids
@@ -229,7 +243,12 @@ class Charuco(AbstractSquareBoard):
 
 
 def opencv_board(board: Charuco) -> Any:
-    """OpenCV's description of the board's plain print, neither inverted nor mirrored."""
+    """OpenCV's `cv2.aruco.CharucoBoard` for the board, printed neither inverted nor mirrored.
+
+    Parameters
+    ----------
+    board : the board.
+    """
     import cv2
 
     charuco_board = cv2.aruco.CharucoBoard(
@@ -237,7 +256,7 @@ def opencv_board(board: Charuco) -> Any:
         board.square_mm,
         board.marker_mm,
         opencv_dictionary(board.dictionary),
-        np.array(board.numbers),
+        np.array(board.marker_ids),
     )
     charuco_board.setLegacyPattern(board.legacy)
     return charuco_board

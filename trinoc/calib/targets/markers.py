@@ -27,9 +27,13 @@ _CELL_PX = 4
 
 
 def check_markers(name: str, dictionary: str, first: int, count: int) -> None:
-    """Raise InputError for an unknown dictionary, or one without the board's marker numbers.
+    """Raise `InputError` if a dictionary is unknown, or does not contain all marker ids of a board.
 
-    first, count : number of the board's first marker, and how many markers the board has.
+    Parameters
+    ----------
+    name : name of the board, for the message.
+    dictionary : name of the dictionary.
+    first, count : id of the board's first marker, and number of its markers.
     """
     if dictionary not in DICTIONARIES:
         raise InputError(
@@ -43,28 +47,40 @@ def check_markers(name: str, dictionary: str, first: int, count: int) -> None:
         )
 
 
-def marks_of_markers(dictionary: str, numbers: range) -> Marks:
-    """Marks of a board with markers, by which an image identifies it."""
+def marks_of_markers(dictionary: str, ids: range) -> Marks:
+    """Marker family and ids of a board, which distinguish the board in an image.
+
+    Parameters
+    ----------
+    dictionary : name of the dictionary.
+    ids : ids of the board's markers.
+    """
     family = _family(dictionary)
     return Marks(
         family,
-        numbers,
+        ids,
         f"both have the marker{{numbers}} of {family}; give them different dictionaries, or "
         "numbers that differ (`first`)",
     )
 
 
 def list_largest_dictionaries() -> list[str]:
-    """Largest dictionary of each family, which contains the markers of the smaller ones."""
+    """Names of the largest dictionary of each family.
+
+    It contains all markers of the smaller dictionaries of the family.
+    """
     families = {_family(name): name for name in sorted(_COUNTS, key=lambda name: _COUNTS[name])}
     return [name for name in DICTIONARIES if name in families.values()]
 
 
 def smallest_dictionary(family_member: str, last: int, *, like: str) -> str | None:
-    """Return the smallest dictionary of a family that contains marker `last`, or None.
+    """Name of the smallest dictionary of a family that contains a marker id; None without one.
 
-    family_member : any dictionary of the family.
-    like : a dictionary whose size is preferred, if it is sufficient.
+    Parameters
+    ----------
+    family_member : name of any dictionary of the family.
+    last : the marker id.
+    like : name of a dictionary whose size is preferred, if it is sufficient.
     """
     family = _family(family_member)
     names = [name for name in DICTIONARIES if _family(name) == family and _COUNTS[name] > last]
@@ -73,13 +89,21 @@ def smallest_dictionary(family_member: str, last: int, *, like: str) -> str | No
 
 
 def _family(dictionary: str) -> str:
-    """Family of a dictionary: the cell count for ArUco ("4x4"), else the name itself."""
+    """Name of a dictionary's family.
+
+    It is the number of cells for ArUco, such as "4x4", and the name of the dictionary for others.
+    """
     size, count = dictionary.split("_")
     return size if count.isdigit() else dictionary
 
 
 def opencv_dictionary(name: str) -> Any:
-    """OpenCV's `cv2.aruco.Dictionary` for one of the names in `DICTIONARIES`."""
+    """OpenCV's `cv2.aruco.Dictionary` for a name in `DICTIONARIES`.
+
+    Parameters
+    ----------
+    name : name of the dictionary.
+    """
     import cv2
 
     family, count = name.split("_")
@@ -88,15 +112,19 @@ def opencv_dictionary(name: str) -> Any:
     )
 
 
-def marker_cells(dictionary: Any, number: int, *, border: int) -> Bool[np.ndarray, "k k"]:
-    """Mask of a marker's inked cells, border included, top row first.
+def marker_cells(dictionary: Any, marker_id: int, *, border: int) -> Bool[np.ndarray, "k k"]:
+    """Mask of the inked cells of a marker including its border, (k, k), top row first.
 
+    Parameters
+    ----------
+    dictionary : OpenCV's dictionary.
+    marker_id : id of the marker.
     border : width of the border in cells.
     """
     import cv2
 
     cells = dictionary.markerSize + 2 * border
     drawing = np.asarray(
-        cv2.aruco.generateImageMarker(dictionary, number, cells * _CELL_PX, borderBits=border)
+        cv2.aruco.generateImageMarker(dictionary, marker_id, cells * _CELL_PX, borderBits=border)
     )
     return drawing[_CELL_PX // 2 :: _CELL_PX, _CELL_PX // 2 :: _CELL_PX] < 128

@@ -25,26 +25,26 @@ A_PATTERN = "a trinoc.Pattern, such as load_pattern reads from a file"
 
 
 class Pattern(Displayable, AbstractBoard):
-    """Layout of circles (discs or rings) and two crossed lines in the plane Z = 0, in mm.
+    """Sheet with circles (discs or rings) and two crossed lines in the plane Z = 0, in mm.
 
-    The lines lie along X and Y and cross at the origin of the world. Seen from the printed
-    side, X points right and Y up; Z points out of the sheet.
+    The lines lie along X and Y and cross at the origin of the world. Seen from the printed side, X
+    points right and Y up; Z points out of the sheet.
 
-    Fields
-    ------
+    Attributes
+    ----------
     name : name of the sheet.
     centres_mm : (n, 2) centres (X, Y) of the circles.
     radius_mm : (n,) outer radius of each circle.
     inner_radius_mm : (n,) radius of the white hole of a ring; 0 for a disc.
-    lattice : (n, 2) integer lattice coordinates of each circle; neighbours in the lattice
-        differ by one in one coordinate.
+    lattice : (n, 2) integer lattice coordinates of each circle. Neighbours in the lattice differ by
+        one in one coordinate.
     line_width_mm : width of the crossed lines; 0 for a sheet without lines.
-    line_half_length_mm : (2,) half the length of the line along X and of the line along Y; both
-        are centred on the origin.
+    line_half_length_mm : (2,) half the length of the line along X and of the line along Y. The
+        middle of both lines is the origin.
     line_style : drawing of a line at a circle. "stop": the line ends `line_gap_mm` before the
-        circle. "through": it crosses the circle in black. "white": it crosses it in white. Lines
-        between the rows meet no circle.
-    line_gap_mm : gap between the end of a line of style "stop" and a circle.
+        circle. "through": the line crosses the circle in black. "white": the line crosses the
+        circle in white. A line between two rows of circles meets no circle.
+    line_gap_mm : gap between a circle and the end of a line, for the style "stop".
     """
 
     kind: ClassVar[str] = "sheet"
@@ -67,7 +67,7 @@ class Pattern(Displayable, AbstractBoard):
 
     @classmethod
     def default(cls) -> "Pattern":
-        """Sheet of `patterns/`: 8 x 8 circles of 6 mm radius at a pitch of 20 mm, with rings."""
+        """Standard sheet, as in `patterns/`: 8 x 8 circles with rings, radius 6 mm, pitch 20 mm."""
         return cls.cross_grid(rows=8, columns=8, pitch_mm=20.0, radius_mm=6.0)
 
     @classmethod
@@ -100,8 +100,8 @@ class Pattern(Displayable, AbstractBoard):
             partly visible sheet can be labelled (`trinoc.calib.targets.ring_code`). "none" makes
             all circles discs; an image cannot show the orientation of such a sheet.
         inner_radius_mm : radius of the white hole of a ring; half the outer radius if None.
-        line_width_mm : width of the crossed lines; 0 for none.
-        line_half_length_mm : half the lengths of the lines along X and Y. If None, they end
+        line_width_mm : width of the crossed lines; 0 for no lines.
+        line_half_length_mm : half the lengths of the lines along X and Y. If None, lines end
             0.75 `pitch_mm` beyond the outer centres.
         line_style, line_gap_mm : see `Pattern`.
         name : name of the sheet; made from its sizes if None.
@@ -159,8 +159,8 @@ class Pattern(Displayable, AbstractBoard):
         """Make a plain grid of discs: OpenCV's symmetric grid, BoofCV's regular circle grid.
 
         The circles are ordered row by row from the top left, as `cv2.findCirclesGrid` does
-        with patternSize = (columns, rows). The origin is the centre of the grid; OpenCV uses
-        the first circle.
+        with patternSize = (columns, rows). The origin is the centre of the grid; that of
+        OpenCV is the first circle.
 
         Parameters
         ----------
@@ -236,12 +236,15 @@ class Pattern(Displayable, AbstractBoard):
 
     @property
     def marks(self) -> Marks:
-        """Marks shared by all sheets: a search for one would detect the circles of another."""
+        """Features that all sheets of circles have.
+
+        An image cannot distinguish two sheets of circles.
+        """
         likeness = "both are sheets of circles, and a set may have one; use other boards"
         return Marks("circles", range(1), likeness)
 
     def drawing(self) -> list[Disc | Polygon]:
-        """Circles and crossed lines; `line_style` decides the painting order where they meet."""
+        """Shapes of the circles and crossed lines. Their painting order depends on `line_style`."""
         circles: list[Disc | Polygon] = []
         centres, radii = [(x, y) for x, y in self.centres_mm.tolist()], self.radius_mm.tolist()
         for centre, radius, hole in zip(centres, radii, self.inner_radius_mm.tolist(), strict=True):
@@ -264,16 +267,17 @@ class Pattern(Displayable, AbstractBoard):
         if self.line_style == "through":
             return [*circles, *lines]
         if self.line_style == "white":
-            return [*lines, *circles, *(_line_on_circle(self, *each) for each in crossings)]
+            return [*lines, *circles, *(_line_on_circle(self, *crossing) for crossing in crossings)]
         gaps = [Disc(centres[k], radii[k] + self.line_gap_mm, False) for k, _ in crossings]
         return [*lines, *gaps, *circles]
 
     def rescale(self, scale_x: float, scale_y: float) -> "Pattern":
-        """Scale the sheet separately along X and Y, to correct a printer's scale errors.
+        """Scale the sheet separately along X and Y, to correct the scale errors of a printer.
 
         Parameters
         ----------
-        scale_x, scale_y : measured divided by nominal length of the scale bars along X and Y.
+        scale_x, scale_y : measured length of the scale bar along X or Y, divided by its nominal
+            length.
 
         Notes
         -----
@@ -310,13 +314,13 @@ def _line_on_circle(pattern: Pattern, circle: int, axis: int) -> Polygon:
 
 
 def _problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
-    """Reason why a layout cannot be printed, as part of a sentence; None if it can."""
+    """Return the reason why a layout cannot be printed, as part of a sentence; else None."""
     centres, radius = pattern.centres_mm, pattern.radius_mm
     if len(centres) == 0:
         return "it has no circle"
     numbers = [centres, radius, pattern.inner_radius_mm, pattern.line_half_length_mm]
     numbers += [pattern.line_width_mm, pattern.line_gap_mm]
-    if not all(np.all(np.isfinite(each)) for each in numbers):
+    if not all(np.all(np.isfinite(number)) for number in numbers):
         return "a number is not finite"
     if np.any(radius <= 0.0):
         return f"circle {int(np.argmin(radius))} has a radius that is not positive"
@@ -338,7 +342,11 @@ def _problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
 
 
 def _lattice_problem(pattern: Pattern, tuning: CalibTuning) -> str | None:
-    """Reason why the centres are no affine, unmirrored image of the lattice; None if they are."""
+    """Return the reason why the circle centres do not form the stated lattice; else None.
+
+    The reason is part of a sentence. The map from lattice coordinates to the sheet must be affine
+    without a reflection.
+    """
     relative = pattern.lattice - pattern.lattice.mean(axis=0)
     steps, _, rank, _ = np.linalg.lstsq(relative, pattern.centres_mm, rcond=None)
     if rank < 2:

@@ -14,12 +14,13 @@ _LINES_BEYOND = 0.75
 
 
 class SheetProposal(NamedTuple):
-    """Proposed sizes of a cross grid (`Pattern.cross_grid`).
+    """Proposed sizes for `Pattern.cross_grid`.
 
-    Fields
-    ------
+    Attributes
+    ----------
     count : number of circles along each side; even, so that no line meets a circle.
-    pitch_mm, radius_mm : distance between neighbouring centres, and radius of a circle.
+    pitch_mm : distance between neighbouring circle centres.
+    radius_mm : radius of a circle.
     circle_px : diameter of a circle's image, for a camera that looks perpendicularly at the sheet.
     field_share : side of the sheet divided by the shorter side of the field of view.
     """
@@ -40,7 +41,7 @@ def propose_sheet(
 ) -> SheetProposal:
     """Propose the sheet with the most circles whose images are still about 20 px wide.
 
-    The sheet covers 60 % of the field of view, or the paper if that is smaller.
+    The sheet covers 60 % of the shorter side of the field of view, or the paper if that is smaller.
 
     Parameters
     ----------
@@ -76,7 +77,13 @@ def propose_sheet(
 
 
 class PrintedSheet(NamedTuple):
-    """Sheet with its printed size, and the relative sigma of its scale along X and along Y."""
+    """Sheet with the sizes of its print.
+
+    Attributes
+    ----------
+    pattern : the sheet with its printed size.
+    scale_sigma : relative standard deviations of the print's scale along X and along Y.
+    """
 
     pattern: Pattern
     scale_sigma: tuple[float, float]

@@ -33,11 +33,16 @@ _MOST_CIRCLES = 1600
 
 
 def ring_code(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
-    """Return the mask of rings of a grid; False marks a disc. Row 0 is the top row.
+    """Mask of the circles of a grid that are rings, row 0 on top; the others are discs.
 
-    The result is the same at every call. The code uses the smallest windows for which the search
-    succeeds. A grid of fewer than three rows or columns gets one or two rings, which distinguish
-    the rotations and the mirror image if the grid allows this.
+    The rings are chosen so that a visible part of the sheet determines its position and
+    orientation. The code uses the smallest such parts for which the search succeeds. The result is
+    the same at every call. A grid of fewer than three rows or columns has one or two rings. They
+    distinguish its rotations and its mirror image, if the grid allows this.
+
+    Parameters
+    ----------
+    rows, columns : numbers of circles.
     """
     return _ring_code(rows, columns).copy()
 
@@ -62,7 +67,10 @@ def _ring_code(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
 def _has_room(rows: int, columns: int, window: tuple[int, int], distance: int) -> bool:
     """True if enough code words exist for all windows in all orientations.
 
-    Sphere-packing bound: words that differ in at least `distance` circles.
+    The number of code words is estimated by the sphere-packing bound for words that differ in at
+    least `distance` circles.
+
+    window : (rows, columns) of a window.
     """
     count = sum(
         max(rows - height + 1, 0) * max(columns - width + 1, 0)
@@ -74,7 +82,10 @@ def _has_room(rows: int, columns: int, window: tuple[int, int], distance: int) -
 
 
 def _fewest_rings(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
-    """Code with one ring off all symmetry axes of the grid, or two rings where one is ambiguous."""
+    """Code with one ring that is on no symmetry axis of the grid.
+
+    If one ring is ambiguous, the code has two rings.
+    """
     code = np.zeros((rows, columns), dtype=bool)
     code[0, 1 if columns > 2 else 0] = True
     if is_ambiguous(code):
@@ -83,7 +94,12 @@ def _fewest_rings(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
 
 
 def is_ambiguous(code: Bool[np.ndarray, "rows columns"]) -> bool:
-    """True if a rotation or a mirror image maps the grid's rings onto themselves."""
+    """True if a rotation or a reflection of the grid maps the rings onto themselves.
+
+    Parameters
+    ----------
+    code : mask of the rings.
+    """
     images = [np.rot90(flipped, turns) for flipped in (code, code[:, ::-1]) for turns in range(4)]
     return sum(image.shape == code.shape and bool(np.all(image == code)) for image in images) > 1
 
@@ -91,7 +107,7 @@ def is_ambiguous(code: Bool[np.ndarray, "rows columns"]) -> bool:
 def _search(
     rows: int, columns: int, criterion: _Criterion
 ) -> Bool[np.ndarray, "rows columns"] | None:
-    """Search a code by simulated annealing with a fixed seed; None if it does not converge."""
+    """Search for a code by simulated annealing with a fixed seed; None if it does not converge."""
     # RandomState: its stream is frozen by NumPy's policy, a Generator's is not.
     random = np.random.RandomState(1986)
     code = random.randint(0, 2, (rows, columns)).astype(bool)
@@ -116,7 +132,16 @@ def _cost(code: Bool[np.ndarray, "rows columns"], criterion: _Criterion) -> int:
 def conflicts(
     code: Bool[np.ndarray, "rows columns"], window: tuple[int, int], distance: int
 ) -> int:
-    """Number of window pairs, in all orientations, that differ in fewer than `distance` circles."""
+    """Number of pairs of windows that differ in fewer than `distance` circles.
+
+    All orientations of both windows are compared.
+
+    Parameters
+    ----------
+    code : mask of the rings.
+    window : (rows, columns) of a window.
+    distance : smallest allowed number of different circles.
+    """
     views = _windows_in_all_orientations(code, window)
     orientations, count, bits = views.shape
     if count == 0:
@@ -128,7 +153,10 @@ def conflicts(
 def _windows_in_all_orientations(
     code: Bool[np.ndarray, "rows columns"], window: tuple[int, int]
 ) -> Float[np.ndarray, "orientations count bits"]:
-    """All windows as vectors of +1 (ring) and -1, in each orientation that keeps the shape."""
+    """All windows as vectors with +1 for a ring and -1 for a disc, in each orientation.
+
+    The orientations are the rotations and reflections that keep the shape of the window.
+    """
     rows, columns = window
     plain = _windows(code, rows, columns)
     if rows != columns:

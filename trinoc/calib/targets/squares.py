@@ -22,14 +22,15 @@ MOST_EACH_WAY = 999
 
 
 class CellGrid(NamedTuple):
-    """Grid of square cells, some of them inked.
+    """Grid of square cells, some of which are painted.
 
-    Fields
-    ------
+    Attributes
+    ----------
     is_ink : (rows, columns) mask of the painted cells, top row first.
     cell_mm : side of a cell.
     middle_mm : (2,) centre of the grid in the board's frame.
-    is_blank : True if the cells in `is_ink` are painted in paper colour over earlier grids.
+    is_blank : True if the cells in `is_ink` are painted in paper colour, over the cells of earlier
+        grids.
     """
 
     is_ink: Bool[np.ndarray, "rows columns"]
@@ -39,13 +40,13 @@ class CellGrid(NamedTuple):
 
 
 class AbstractSquareBoard(AbstractBoard):
-    """Board whose points are corners of inked cells.
+    """Board whose ink consists of square cells. Its points are corners of inked cells.
 
-    Fields
-    ------
-    rows, columns : numbers of the units that the class counts: inner corners, squares or tags.
-    nodes_mm : (k, 2) corners of all squares (the rim included) or tags, in the board's frame.
-        Every edge of the ink belongs to the nearest node.
+    Attributes
+    ----------
+    rows, columns : numbers of inner corners, squares or tags, depending on the class.
+    nodes_mm : (k, 2) corners of all squares or tags in the board's frame, including those on the
+        outer edge. Every edge of ink belongs to the nearest node.
     """
 
     rows: AbstractVar[int]
@@ -56,17 +57,22 @@ class AbstractSquareBoard(AbstractBoard):
     def cell_grids(self, *, quarters: int = 0) -> Sequence[CellGrid]:
         """Inked cells as grids, in painting order.
 
-        quarters : number of counter-clockwise quarter turns of each tag in its place. Some
-            programs print tags turned.
+        Parameters
+        ----------
+        quarters : number of counter-clockwise quarter turns of each tag about its centre. Some
+            programs print rotated tags.
         """
 
     @property
     def radius_mm(self) -> Float[np.ndarray, "n"]:
-        """Zeros, because the points are corners."""
+        """Radii of circles around the points: zeros, because the points are corners."""
         return np.zeros(len(self.centres_mm))
 
     def drawing(self) -> list[Polygon]:
-        """Rectangles of ink or paper colour, one per run of neighbouring cells in a row."""
+        """Rectangles of ink or paper colour.
+
+        One rectangle covers neighbouring painted cells of a row.
+        """
         return [
             Polygon(grid.cell_mm * box + grid.middle_mm, not grid.is_blank)
             for grid in self.cell_grids()
@@ -77,12 +83,13 @@ class AbstractSquareBoard(AbstractBoard):
 class SquareSheet(AbstractTarget):
     """Board of squares as a raster of ink on one irregular grid, for the fit to grey levels.
 
-    Fields
-    ------
+    Attributes
+    ----------
     name, centres_mm, radius_mm : see `AbstractTarget`.
     nodes_mm : see `AbstractSquareBoard`.
-    x_mm, y_mm : (n,), (m,) increasing positions of the grid lines, which contain all ink edges.
-    ink : (m + 1, n + 1) mask of the inked cells between the lines, lowest row first. The
+    x_mm, y_mm : (n,), (m,) increasing positions of the grid lines. All edges of ink lie on grid
+        lines.
+    ink : (m + 1, n + 1) mask of the inked cells between the grid lines, lowest row first. The
         outermost cells, beyond all lines, are paper.
     """
 
@@ -105,7 +112,7 @@ def square_sheet(board: AbstractTarget, *, quarters: int = 0) -> SquareSheet:
 
     Raises
     ------
-    InputError : the board is of another kind.
+    InputError : the board is not made of squares.
     """
     if not isinstance(board, AbstractSquareBoard):
         raise InputError(
@@ -115,12 +122,12 @@ def square_sheet(board: AbstractTarget, *, quarters: int = 0) -> SquareSheet:
     grids = board.cell_grids(quarters=quarters)
     bounds = np.concatenate([_cell_bounds_mm(grid) for grid in grids])
     is_ink = np.repeat([not grid.is_blank for grid in grids], [grid.is_ink.sum() for grid in grids])
-    same = _SAME * float(np.ptp(bounds))
-    x_mm, y_mm = (_distinct(bounds[..., axis], same) for axis in (0, 1))
+    tolerance_mm = _SAME * float(np.ptp(bounds))
+    x_mm, y_mm = (_distinct(bounds[..., axis], tolerance_mm) for axis in (0, 1))
     ink = np.zeros((len(y_mm) + 1, len(x_mm) + 1), dtype=bool)
     # The cell that begins at a line has the number of the lines up to it.
-    columns = np.searchsorted(x_mm, bounds[..., 0] + 2 * same)
-    rows = np.searchsorted(y_mm, bounds[..., 1] + 2 * same)
+    columns = np.searchsorted(x_mm, bounds[..., 0] + 2 * tolerance_mm)
+    rows = np.searchsorted(y_mm, bounds[..., 1] + 2 * tolerance_mm)
     for (left, right), (low, high), inked in zip(columns, rows, is_ink, strict=True):
         ink[low:high, left:right] = inked
     return SquareSheet(
@@ -129,23 +136,24 @@ def square_sheet(board: AbstractTarget, *, quarters: int = 0) -> SquareSheet:
 
 
 def _cell_bounds_mm(grid: CellGrid) -> Float[np.ndarray, "c 2 2"]:
-    """Lower left and upper right corner of each inked cell, (cell, corner, x or y)."""
+    """Lower left and upper right corner of each painted cell, mm; axes (cell, corner, x or y)."""
     rows, columns = grid.is_ink.shape
     row, column = np.nonzero(grid.is_ink)
     low = np.stack([column - 0.5 * columns, 0.5 * rows - 1 - row], axis=1)
     return np.stack([low, low + 1], axis=1) * grid.cell_mm + grid.middle_mm
 
 
-def _distinct(values: Float[np.ndarray, "..."], same: float) -> Float[np.ndarray, "m"]:
+def _distinct(values: Float[np.ndarray, "..."], tolerance_mm: float) -> Float[np.ndarray, "m"]:
     rising = np.sort(values.ravel())
-    return rising[np.concatenate([[True], np.diff(rising) > same])]
+    return rising[np.concatenate([[True], np.diff(rising) > tolerance_mm])]
 
 
 def _runs_of_cells(is_ink: Bool[np.ndarray, "rows columns"]) -> list[Float[np.ndarray, "4 2"]]:
-    """Rectangles of the runs of inked cells in each row, in cells from the grid's centre.
+    """Corners of rectangles that cover the painted cells.
 
-    An extra strip covers each seam between two inked rows, because printers leave a thin white
-    line there.
+    Coordinates are in cells, relative to the centre of the grid. One rectangle covers neighbouring
+    cells of a row. Further strips cover the seams between painted rows, because printers leave a
+    thin white line there.
     """
     rows, columns = is_ink.shape
     runs = [(0.5 * rows - row - 1, 0.5 * rows - row, is_ink[row]) for row in range(rows)]
@@ -165,11 +173,17 @@ def _runs_of_cells(is_ink: Bool[np.ndarray, "rows columns"]) -> list[Float[np.nd
 def grid_mm(
     rows: int, columns: int, pitch_mm: float, *, top_first: bool, right_first: bool = False
 ) -> Float[np.ndarray, "n 2"]:
-    """Points of a regular grid centred on the origin, row by row, in mm.
+    """Points of a regular grid centred on the origin, row by row, (n, 2), mm.
 
-    top_first : True if the first row is the top one.
+    Parameters
+    ----------
+    rows, columns : numbers of points.
+    pitch_mm : distance between neighbouring points.
+    top_first : True if the first row is the top row.
     right_first : True if each row starts at the right.
 
+    Notes
+    -----
     The array is cached and read-only, because a fit requests it thousands of times.
     """
     row, column = np.divmod(np.arange(rows * columns), columns)
@@ -181,14 +195,24 @@ def grid_mm(
 
 
 def dark_squares(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
-    """Mask of the dark squares of a chessboard; the top left square is dark."""
+    """Mask of the dark squares of a chessboard. The top left square is dark.
+
+    Parameters
+    ----------
+    rows, columns : numbers of squares.
+    """
     return np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 0
 
 
 def check_size(name: str, rows: int, columns: int, what: str, side_mm: float) -> None:
-    """Raise InputError for an impossible number of rows or columns, or side of a square.
+    """Raise `InputError` if the number of rows or columns, or the side of a square, is impossible.
 
-    what : plural name of the units counted by `rows` and `columns`.
+    Parameters
+    ----------
+    name : name of the board, for the message.
+    rows, columns : the numbers.
+    what : name in the plural of the objects that `rows` and `columns` count.
+    side_mm : side of a square.
     """
     if not 3 <= min(rows, columns) <= max(rows, columns) <= MOST_EACH_WAY:
         size = "small" if min(rows, columns) < 3 else "large"

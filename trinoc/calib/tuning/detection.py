@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class DetectionTuning:
-    """Constants of the steps from an image to labelled points of a board.
+    """Tuned constants of the detection, from an image to labelled points of a board.
 
-    Check with benchmarks/detection.py (detected images and wrong labels, by condition). Unless a
-    comment says otherwise, values were chosen by hand on these and on photographs of circle grids
-    (tests/calib/detection/test_photographs.py).
+    Check with benchmarks/detection.py (numbers of detected images and of wrong labels, by
+    condition). Unless a comment gives another source, values were chosen by hand on this benchmark
+    and on photographs of circle grids (tests/calib/detection/test_photographs.py).
     """
 
     # Fewest points (circle centres or corners) in a detection, and fewest blobs in a lattice.
@@ -48,8 +48,8 @@ class DetectionTuning:
     area_factor: float = 2.2
     # Fewest points with which the plane mapping includes bending by the lens, and the ridge of
     # that bending relative to the number of points, which keeps it from following noise.
-    bend_points: int = 16
-    bend_damping: float = 1e-3
+    cubic_points: int = 16
+    cubic_damping: float = 1e-3
 
     # Standard deviation of the relative hole radius about 0 (disc) or 1 (ring), beyond the sigma
     # of the fit.
@@ -118,5 +118,5 @@ class DetectionTuning:
 
     @property
     def fewest_tags(self) -> int:
-        """Fewest tags that together have `fewest_places` corners."""
+        """Smallest number of tags that together have `fewest_places` corners."""
         return -(-self.fewest_places // 4)

@@ -8,7 +8,10 @@ from trinoc.calib.tuning.photometric import PhotometricTuning
 
 @dataclass(frozen=True)
 class TargetTuning:
-    """Sizes of a proposed sheet, and limits of plausible sizes. Chosen by hand."""
+    """Tuned constants for the sizes of a proposed sheet, and limits of plausible sizes.
+
+    Chosen by hand.
+    """
 
     # Side of a proposed sheet as a share of the shorter side of the field of view. The rest is a
     # margin for aiming and for oblique views.
@@ -28,7 +31,7 @@ class TargetTuning:
 
 @dataclass(frozen=True)
 class UncertaintyTuning:
-    """Default standard deviations of sheet, aim and lens: see `Systematics.typical`.
+    """Default standard deviations of sheet, aim and lens, used by `Systematics.typical`.
 
     Chosen by hand. Check with the coverage in benchmarks/calibration_conditions.py.
     """
@@ -53,7 +56,7 @@ class UncertaintyTuning:
 
 @dataclass(frozen=True)
 class ProblemTuning:
-    """Limits between noise and errors, for points, images, cameras and boards.
+    """Tuned limits that separate noise from errors of points, images, cameras and boards.
 
     Check with errors and coverage of benchmarks/rigs.py and benchmarks/calibration.py.
     """
@@ -105,7 +108,7 @@ class ProblemTuning:
 
 @dataclass(frozen=True)
 class StartTuning:
-    """Initial lenses, and the chaining of cameras and boards into one frame.
+    """Tuned constants for initial lenses and initial poses of cameras and boards.
 
     Chosen by hand. Check with the excluded shots and the lenses in benchmarks/rigs.py.
     """
@@ -135,7 +138,10 @@ class StartTuning:
 
 @dataclass(frozen=True)
 class AdviceTuning:
-    """Advice on the next shot, and the comparison of two halves of the shots. Chosen by hand."""
+    """Tuned constants for advice on the next shot, and for the comparison of halves of the shots.
+
+    Chosen by hand.
+    """
 
     # The two halves are compared at the distances of the boards, and this many times as far, where
     # errors of lens and pose no longer cancel.
@@ -158,7 +164,7 @@ class AdviceTuning:
 
 @dataclass(frozen=True)
 class AdjustmentTuning:
-    """Choice between the estimates by circles and by grey levels.
+    """Tuned constants for the choice between the estimates by circles and by grey levels.
 
     Chosen by hand. Check with benchmarks/picture_conditions.py.
     """
@@ -177,10 +183,10 @@ class AdjustmentTuning:
 
 @dataclass(frozen=True)
 class BundleTuning:
-    """Robust weights of matched fragments, and the choice among several solutions.
+    """Tuned constants of the refinement with matched segments.
 
-    Check with errors and coverage of benchmarks/refine.py; the last six constants with its part
-    `matched`.
+    They concern robust weights and the choice among several solutions. Check with errors and
+    coverage of benchmarks/refine.py. Its part `matched` checks the last six constants.
     """
 
     # Distance in sigmas at which the loss of a fragment saturates. By hand.
@@ -211,7 +217,7 @@ class BundleTuning:
 
 @dataclass(frozen=True)
 class RigCheckTuning:
-    """Comparison of a calibration with an earlier one, and of a rig with images of a scene.
+    """Tuned constants for the comparison of a rig with an earlier calibration or with images.
 
     Check with the knocked rigs of benchmarks/refine.py.
     """
@@ -240,10 +246,10 @@ class RigCheckTuning:
 
 @dataclass(frozen=True)
 class AnswerTuning:
-    """Status of a calibration, and thresholds of its warnings.
+    """Tuned constants for the status of a calibration, and thresholds of its warnings.
 
-    Chosen by hand where no other source is stated. Check with benchmarks/picture_conditions.py and
-    benchmarks/rigs.py.
+    Chosen by hand unless a comment gives another source. Check with
+    benchmarks/picture_conditions.py and benchmarks/rigs.py.
     """
 
     # Probability under noise below which images contradict a fixed parameter, or an aim.
@@ -316,7 +322,10 @@ class AnswerTuning:
 
 @dataclass(frozen=True)
 class CalibTuning:
-    """All groups of constants; benchmarks and docs report results with the default."""
+    """All groups of tuned constants of calibration.
+
+    Benchmarks and docs report results with the default values.
+    """
 
     targets: TargetTuning = field(default_factory=TargetTuning)
     detection: DetectionTuning = field(default_factory=DetectionTuning)

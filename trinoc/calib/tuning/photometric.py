@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class PhotometricTuning:
-    """Constants of the fit that refines a pose from circles by the grey levels of the image.
+    """Tuned constants of the fit to grey levels, which refines a pose from circles.
 
-    Check with benchmarks/real_pictures.py: errors over reported and over smallest possible sigmas,
-    by condition, and images with a wrong result and no warning. Unless a comment says otherwise,
-    values were chosen by hand on these.
+    Check with benchmarks/real_pictures.py: errors divided by reported sigmas and by smallest
+    possible sigmas, by condition, and the number of images with a wrong result and no warning.
+    Unless a comment gives another source, values were chosen by hand on this benchmark.
     """
 
     # Smallest contrast between paper and ink, grey levels.
@@ -28,7 +28,7 @@ class PhotometricTuning:
     scales: tuple[float, ...] = (0.1, 0.07, 0.05, 0.05, 0.05)
     # Additional first rounds if the paper saturates. Without them, two of six images of a phone,
     # overexposed 1.6 and 2.2 times, fail or are wrong by 60 sigmas.
-    blinded_scales: tuple[float, ...] = (0.15, 0.15, 0.15)
+    saturated_scales: tuple[float, ...] = (0.15, 0.15, 0.15)
 
     # A residual above this many robust sigmas is an outlier.
     outlier_sigmas: float = 4.5

@@ -10,11 +10,16 @@ _SCALES = ("scale_x", "scale_y")
 def covariance_of_size(
     parameters: tuple[str, ...], covariance: Float[np.ndarray, "p p"]
 ) -> Float[np.ndarray, "p p"]:
-    """Part of a joint covariance that is caused by the error of the board's size, (p, p).
+    """Part of a joint covariance that the error of the board's size causes, (p, p).
 
-    The size is the mean of all board scales among `parameters`, such as "board.scale_x". The
-    remaining part, covariance minus this part, is the covariance for a board of known size. Zero
-    if all scales are exact.
+    The size is the mean of all board scales among the parameters, such as "board.scale_x". The
+    covariance minus this part is the covariance for a board of exact size. The result is zero if
+    all scales are exact.
+
+    Parameters
+    ----------
+    parameters : names of the parameters.
+    covariance : (p, p) their joint covariance.
     """
     is_scale = np.array(
         [name.startswith("board.") and name.rpartition(".")[2] in _SCALES for name in parameters]

@@ -17,15 +17,15 @@ from trinoc.geometry.rig import Rig
 
 
 class PixelSigma(NamedTuple):
-    """Standard deviation per axis of the pixel at which a camera images a point fixed in the world.
+    """Standard deviation per axis of the pixel at which a calibrated camera images a fixed point.
 
-    The points are at the distance of the boards, over the images of all cameras.
+    The points are at the distance of the boards. They cover the images of all cameras.
 
-    Fields
-    ------
-    median_px, worst_px : for a board of exact size.
-    size_px : largest contribution of the error of the board's size, added in quadrature; 0 for an
-        exact size.
+    Attributes
+    ----------
+    median_px, worst_px : median and largest standard deviation, for a board of exact size.
+    size_px : largest contribution of the error of the board's size, added in quadrature; 0 for a
+        board of exact size.
     """
 
     median_px: float
@@ -34,7 +34,7 @@ class PixelSigma(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Sentence with both parts."""
+        """Sentence that reports both contributions."""
         sentence = (
             f"a pixel has a sigma of {self.median_px:.2g} px (median over the images at the "
             f"distance of the boards; {self.worst_px:.2g} px at the worst position)"
@@ -50,9 +50,12 @@ class PixelSigma(NamedTuple):
 def rig_of_known_size(
     rig: Rig, parameters: tuple[str, ...], covariance: Float[np.ndarray, "p p"]
 ) -> Rig:
-    """Rig with the covariance for a board of exact size.
+    """Copy of a rig with the covariance for a board of exact size.
 
-    parameters, covariance : joint covariance of cameras and boards; see `covariance_of_size`.
+    Parameters
+    ----------
+    rig : rig with a covariance.
+    parameters, covariance : names and joint covariance of the parameters of cameras and boards.
     """
     return _with_covariance(
         rig, np.asarray(rig.covariance) - _size_part(rig, parameters, covariance)
@@ -65,11 +68,19 @@ def compute_pixel_sigma(
     covariance: Float[np.ndarray, "p p"],
     distances_mm: Mapping[str, float],
 ) -> PixelSigma | None:
-    """Pixel sigma of a rig; None for a rig without a covariance.
+    """Standard deviation of a rig's pixels, with and without the error of the board's size.
 
     Positions at which a lens images no ray are ignored.
 
-    distances_mm : distance of the boards from each camera.
+    Parameters
+    ----------
+    rig : the rig.
+    parameters, covariance : names and joint covariance of the parameters of cameras and boards.
+    distances_mm : distance of the boards from each camera, by camera name.
+
+    Returns
+    -------
+    Standard deviations; None for a rig without a covariance.
     """
     if not rig.parameters:
         return None
@@ -94,7 +105,7 @@ def compute_pixel_sigma(
 def _size_part(
     rig: Rig, parameters: tuple[str, ...], covariance: Float[np.ndarray, "p p"]
 ) -> Float[np.ndarray, "k k"]:
-    """Part of the rig's covariance that is caused by the error of the board's size."""
+    """Part of the rig's covariance that the error of the board's size causes, (k, k)."""
     rows = [parameters.index(name) for name in rig.parameters]
     return covariance_of_size(parameters, covariance)[np.ix_(rows, rows)]
 

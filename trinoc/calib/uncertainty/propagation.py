@@ -38,12 +38,12 @@ _TO_RADIANS = np.array([*np.full(3, np.pi / 180), *np.ones(len(_NAMES) - 3)])
 
 
 class FieldSigma(NamedTuple):
-    """Standard deviation over the image of a camera.
+    """Standard deviation at positions in the image of a camera.
 
-    Fields
-    ------
+    Attributes
+    ----------
     uv_px : (n, 2) positions in the image.
-    sigma_px : (n,) standard deviation at each.
+    sigma_px : (n,) standard deviation at each position.
     """
 
     uv_px: Float[np.ndarray, "n 2"]
@@ -52,12 +52,13 @@ class FieldSigma(NamedTuple):
 
 @in_float64
 def epipolar_sigma(rig: Rig, first: str, second: str) -> FieldSigma:
-    """Standard deviation of the epipolar lines of the first image, over its field.
+    """Standard deviation of epipolar lines, over the image of the first camera.
 
-    For each position in the first image, the point of the sheet's plane is projected into the
-    second image. The sigma is that of its distance from the epipolar line, in undistorted pixels.
-    Errors of focal lengths and principal points, and their correlation with the pose, are included
-    if the covariance of the rig contains them.
+    The ray of each position in the first image meets the plane of the sheet at a point, which is
+    projected into the second image. The result is the standard deviation of the distance between
+    this projection and the epipolar line of the position, in undistorted pixels. Errors of focal
+    lengths and principal points, and their correlation with the pose, are included if the rig's
+    covariance contains them.
 
     Parameters
     ----------
@@ -86,8 +87,12 @@ def _distances_by_change(
     first: Camera,
     pixels: Float[ArrayLike, "n 2"],
 ) -> Float[ArrayLike, "n 2 p"]:
-    """Derivatives of the distances from the epipolar lines by the parameters of both cameras, (n,
-    2, p).
+    """Derivatives of the distances from the epipolar lines, (n, 2, p).
+
+    They are with respect to the parameters of both cameras.
+
+    values : (2, p) pose, focal lengths and principal point of each camera.
+    matrices : (2, 3, 3) camera matrices.
     """
     points = jax.vmap(sheet_from_pixel, (None, 0))(first, pixels)
     projections = _projections(values, matrices)
@@ -109,12 +114,12 @@ def _distances_by_change(
 def point_covariance(rig: Rig, point_mm: Float[ArrayLike, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
     """Covariance, mm^2, of points triangulated by all cameras from exact pixels.
 
-    Errors of lenses are included as in `epipolar_sigma`; errors of the pixels are not.
+    Errors of the lenses are included as in `epipolar_sigma`. Errors of the pixels are not included.
 
     Parameters
     ----------
     rig : rig with a covariance.
-    point_mm : (*n, 3) one point or many.
+    point_mm : (*n, 3) one point or many points in the world.
 
     Returns
     -------
@@ -138,8 +143,12 @@ def _points_by_change(
     matrices: Float[ArrayLike, "v 3 3"],
     points_mm: Float[ArrayLike, "n 3"],
 ) -> Float[ArrayLike, "n 3 v p"]:
-    """Derivatives of points triangulated from exact pixels, by the cameras' parameters, (n, 3, v,
-    p).
+    """Derivatives of triangulated points, (n, 3, v, p), with respect to the cameras' parameters.
+
+    The points are triangulated from exact pixels.
+
+    values : (v, p) pose, focal lengths and principal point of each camera.
+    matrices : (v, 3, 3) camera matrices.
     """
     pixels = project_by_matrix(_projections(values, matrices), points_mm[None])
     weight = jnp.ones(len(values))
@@ -156,8 +165,9 @@ def _points_by_change(
 def _camera_covariance(
     rig: Rig, names: tuple[str, ...]
 ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "v p"]]:
-    """Covariance (rad, mm, px) and values of pose and lens; parameters without covariance are
-    exact.
+    """Covariance and values of the poses, focal lengths and principal points of cameras.
+
+    The units are rad, mm and px. A parameter that is not in the rig's covariance has zero variance.
     """
     _expect_covariance(rig)
     covariance = rig.covariance_of(
@@ -179,8 +189,10 @@ def _expect_covariance(rig: Rig) -> None:
 def _projections(
     values: Float[ArrayLike, "v p"], matrices: Float[ArrayLike, "v 3 3"]
 ) -> Float[ArrayLike, "v 3 4"]:
-    """Projection matrices for these poses, focal lengths and principal points; skew from
-    `matrices`.
+    """Projection matrices, (v, 3, 4), for given poses, focal lengths and principal points.
+
+    values : (v, p) pose, focal lengths and principal point of each camera.
+    matrices : (v, 3, 3) camera matrices, from which the skew is used.
     """
 
     def projection(vector: Float[ArrayLike, "p"], matrix: Float[ArrayLike, "3 3"]) -> ArrayLike:
@@ -193,11 +205,10 @@ def _projections(
 
 @in_float64
 def projection_sigma(rig: Rig, camera: str, distance_mm: float) -> FieldSigma:
-    """Standard deviation per axis of the pixels of points fixed in the world, over a camera's
-    image.
+    """Standard deviation per axis of the pixels of fixed points, over the image of a camera.
 
     The points lie on the rays of a grid of pixels, at one distance. Errors of lens and pose
-    compensate each other at the distance of the board, and less so nearer or farther.
+    compensate each other at the distance of the board, and compensate less at other distances.
 
     Parameters
     ----------
@@ -207,7 +218,8 @@ def projection_sigma(rig: Rig, camera: str, distance_mm: float) -> FieldSigma:
 
     Returns
     -------
-    Grid and sigmas; NaN where the lens images no ray, as beyond the image circle of a fisheye.
+    Pixels of the grid, and their standard deviations; NaN where the lens images no ray, such as
+    beyond the image circle of a fisheye.
 
     Raises
     ------
@@ -233,7 +245,12 @@ def projection_sigma(rig: Rig, camera: str, distance_mm: float) -> FieldSigma:
 
 
 def field_grid_px(image_size_px: tuple[int, int]) -> Float[np.ndarray, "5 5 2"]:
-    """Grid of pixels from corner to corner of the image, row by row from the top, (5, 5, 2)."""
+    """Pixels of a 5 x 5 grid from corner to corner of the image, row by row from the top.
+
+    Parameters
+    ----------
+    image_size_px : (width, height) of the image.
+    """
     u, v = (np.linspace(0.0, side - 1.0, MAP_SIZE) for side in image_size_px)
     return np.stack(np.meshgrid(u, v), axis=-1)
 
@@ -246,7 +263,11 @@ def _by_parameters(
     distance_mm: Float[ArrayLike, ""],
     model: PoseModel,
 ) -> Array:
-    """Derivative of the pixels of fixed points by pose (degrees, mm) and lens."""
+    """Derivatives of the pixels of fixed points with respect to pose and lens, (n, 2, p).
+
+    The points lie on the rays of `grid_px`, at the distance `distance_mm`. The units of the pose
+    are degrees and mm.
+    """
     rays = jax.vmap(lens.unproject)(grid_px)
     rotation, centre = jnp.asarray(pose.rotation), pose.centre_world_mm
     points = centre[None] + distance_mm * (rays @ rotation)
@@ -269,10 +290,16 @@ def field_sigma_px(
     covariance: Float[ArrayLike, "q q"],
     grid_px: Float[ArrayLike, "5 5 2"],
 ) -> Float[Array, "5 5"]:
-    """Standard deviation per axis of the pixel at which the lens images a given ray, (5, 5).
+    """Standard deviation per axis of the pixel at which a lens images a fixed ray, (5, 5).
 
-    A turn of the camera common to all pixels is removed: a calibration of the pose absorbs it, and
-    an error of the principal point looks the same. NaN where the lens images no ray.
+    The part of the errors that equals a rotation of the camera is removed, because a calibration of
+    the pose compensates it. NaN where the lens images no ray.
+
+    Parameters
+    ----------
+    lens : the lens.
+    covariance : (q, q) covariance of its parameters.
+    grid_px : (5, 5, 2) pixels of the rays.
     """
     rays = jax.vmap(lens.unproject)(grid_px.reshape(-1, 2))
     errors_px = jax.vmap(lens.project_ray)(rays) - grid_px.reshape(-1, 2)

@@ -23,23 +23,25 @@ _Item = TypeVar("_Item")
 
 
 class Systematics(NamedTuple):
-    """Standard deviations of the errors of sheet, lens and aim; zeros and None mean exact.
+    """Standard deviations of systematic errors of sheet, lens and aim. 0 or None means exact.
 
-    Each error is an unknown with this prior. It is estimated if the images show it, and its prior
-    is part of the covariance. `Systematics()` assumes that everything is exact.
+    Each error is an unknown of the calibration, with a Gaussian prior. It is estimated as far as
+    the images determine it, and its uncertainty is part of the covariance. `Systematics()` assumes
+    that everything is exact.
 
-    Fields
-    ------
+    Attributes
+    ----------
     print_scale_sigma : relative sigma of the print's scale along X and along Y (1e-3 is 0.1 %).
         `trinoc.calib.printed_sheet` determines both scales from two measured bars.
-    flatness_mm : sigma of the height, at the circles farthest from the origin, of each of three
-        bends of the sheet: along X, along Y, and twisted.
-    lens_covariance : (k, k) covariance of the first k of the lens's `parameter_names` (for an ideal
-        lens those of Brown-Conrady), as `trinoc intrinsics` writes it. One matrix: all cameras have
-        the same calibrated lens and share its error. A mapping by camera: independent errors.
-    print_size_sigma : relative sigma of the size of the whole print, along X and Y together.
-    aim_sigma_mm : sigma of the point of the sheet that the optical axis meets, along X and Y, about
-        the origin. Used with the pose model "aimed".
+    flatness_mm : sigma of the height of the sheet at the circles farthest from the origin, for each
+        of three bends: along X, along Y, and twisted.
+    lens_covariance : (k, k) covariance of the first k of the lens's `parameter_names`, as `trinoc
+        intrinsics` writes it. An ideal lens has the parameters of Brown-Conrady. One matrix: all
+        cameras have the same calibrated lens and the same error. A mapping by camera: independent
+        errors.
+    print_size_sigma : relative sigma of the size of the whole print, common to X and Y.
+    aim_sigma_mm : sigma along X and Y of the intersection of the optical axis and the sheet; the
+        prior mean is the origin. Used with the pose model "aimed".
     """
 
     print_scale_sigma: tuple[float, float] = (0.0, 0.0)
@@ -52,18 +54,18 @@ class Systematics(NamedTuple):
     def typical(
         cls, lenses: Mapping[str, Intrinsics], *, tuning: CalibTuning = TUNING
     ) -> "Systematics":
-        """Typical errors of a print, of paper, of aiming by hand, and of a lens's data sheet.
+        """Typical errors of a print, of paper, of aiming by hand, and of a lens from a data sheet.
 
-        The size of the print is wrong by 0.2 %, its aspect by 0.28 %; paper is flat to 0.3 mm; the
-        optical axis meets the origin to 20 mm, so that the camera just looks at the sheet. A lens
-        that is given in millimetres and without distortion comes from a data sheet
-        (`data_sheet_covariance`). A lens given in pixels comes from a calibration, and is exact
-        unless its covariance is given.
+        The sigmas are: size of the print 0.2 %, ratio of its scales along X and Y 0.28 %, flatness
+        0.3 mm. The optical axis meets the origin with a sigma of 20 mm. A lens given in millimetres
+        and without distortion is assumed to come from a data sheet (`data_sheet_covariance`). A
+        lens given in pixels is assumed to be calibrated. It is exact unless its covariance is
+        given.
 
         Parameters
         ----------
         lenses : intrinsics of each camera.
-        tuning : constants of calibration; a benchmark or a study changes them.
+        tuning : tuned constants of calibration; only benchmarks and studies change them.
         """
         assumed = tuning.uncertainty
         return cls(
@@ -86,12 +88,12 @@ class Systematics(NamedTuple):
 
         Parameters
         ----------
-        lenses : intrinsics of all cameras; None for a camera that takes no part.
+        lenses : intrinsics of all cameras; None for a camera that is not used.
 
         Raises
         ------
-        InputError : a covariance of wrong shape or not finite, or of a camera that is not in
-            `lenses`.
+        InputError : a covariance has the wrong shape, is not finite, or belongs to a camera that is
+            not in `lenses`.
         """
         covariance = self.lens_covariance
         if covariance is None:
@@ -115,7 +117,7 @@ class Systematics(NamedTuple):
         }
 
     def check(self) -> None:
-        """Raise InputError for a sigma that is negative or not finite."""
+        """Raise `InputError` if a sigma is negative or not finite."""
         sigmas = np.array([*self._of_sheet, self.aim_sigma_mm])
         if not (np.isfinite(sigmas) & (sigmas >= 0)).all():
             raise InputError(
@@ -123,8 +125,14 @@ class Systematics(NamedTuple):
             )
 
     def groups(self, cameras: Sequence[_Item]) -> list[Sequence[_Item]]:
-        """Groups of cameras to adjust together: all if they share an uncertain lens or sheet, else
-        a few.
+        """Groups of cameras that are adjusted together.
+
+        All cameras form one group if they have an uncertain lens or sheet in common. Otherwise the
+        groups are small.
+
+        Parameters
+        ----------
+        cameras : the cameras.
         """
         if any(self._of_sheet) or self.lens_is_shared:
             return [cameras]
@@ -136,13 +144,13 @@ class Systematics(NamedTuple):
 
     @property
     def lens_is_shared(self) -> bool:
-        """True if all cameras have one lens, whose error they share."""
+        """True if all cameras have the same lens with the same error."""
         covariance = self.lens_covariance
         return covariance is not None and not isinstance(covariance, Mapping)
 
     @property
     def descriptions(self) -> tuple[str, ...]:
-        """Descriptions of the errors that are not exact."""
+        """Short description of each error that is not exact, with its sigma."""
         terms = []
         if self.aim_sigma_mm:
             terms.append(f"the aim ({self.aim_sigma_mm:.3g} mm)")
@@ -163,15 +171,19 @@ class Systematics(NamedTuple):
 def data_sheet_covariance(
     lens: Intrinsics, *, tuning: CalibTuning = TUNING
 ) -> Float[np.ndarray, "5 5"]:
-    """Covariance of fx, fy, cx, cy and k1 of a lens with only a data sheet.
+    """Covariance of fx, fy, cx, cy and k1 of a lens that is known from a data sheet only.
 
-    The focal length is wrong by 1 % and its aspect by 0.2 %; the principal point by 2 % of the
-    image's width; distortion moves the corners of the image by one pixel.
+    The sigmas are: focal length 1 %, ratio of fx and fy 0.2 %, principal point 2 % of the image
+    width. The sigma of the distortion moves the corners of the image by one pixel.
 
     Parameters
     ----------
     lens : intrinsics from the data sheet.
-    tuning : constants of calibration; a benchmark or a study changes them.
+    tuning : tuned constants of calibration; only benchmarks and studies change them.
+
+    Returns
+    -------
+    (5, 5) covariance, px^2 for the first four parameters.
     """
     (fu, fv), (width, height) = np.asarray(lens.focal_length_px), lens.image_size_px
     assumed, factor = tuning.uncertainty, np.zeros((5, 5))
@@ -201,7 +213,7 @@ def _check_covariance(
 
 
 def _factor(covariance: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k r"]:
-    """Factor L of a covariance L L^T, with one column per uncertain direction, (k, r)."""
+    """Factor L (k, r) of a covariance L L^T, with one column per uncertain direction."""
     sigma = np.sqrt(np.diag(covariance))
     free = np.flatnonzero(sigma > 0)
     correlation = covariance[np.ix_(free, free)] / np.outer(sigma[free], sigma[free])

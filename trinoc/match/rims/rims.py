@@ -17,7 +17,7 @@ from trinoc.numerics.tables import (
     SEGMENT_NUMBER,
     Column,
     ColumnCheck,
-    check_number,
+    check_index,
 )
 
 _CENTRE, _NORMAL = ("x_mm", "y_mm", "z_mm"), ("normal_x", "normal_y", "normal_z")
@@ -91,8 +91,8 @@ class Rims(Feature):
             )
         ),
     ]
-    rim: Annotated[Int[np.ndarray, "m"], Column(check_number("c", "is no rim"))]
-    view: Annotated[Int[np.ndarray, "m"], Column(check_number("v", "is no view"))]
+    rim: Annotated[Int[np.ndarray, "m"], Column(check_index("c", "is no rim"))]
+    view: Annotated[Int[np.ndarray, "m"], Column(check_index("v", "is no view"))]
     segment: Annotated[Int[np.ndarray, "m"], Column(SEGMENT_NUMBER)]
     matches: Matches
     kept: Annotated[

@@ -17,7 +17,7 @@ from trinoc.numerics.tables import (
     ColumnCheck,
     Content,
     Table,
-    check_number,
+    check_index,
     is_covariance,
 )
 
@@ -124,7 +124,7 @@ class Wireframe(Feature):
     edges: Annotated[
         Int[np.ndarray, "e 2"],
         Column(
-            check_number("n", "names a vertex that is not there"), parts=("vertex_1", "vertex_2")
+            check_index("n", "names a vertex that is not there"), parts=("vertex_1", "vertex_2")
         ),
     ]
     posterior: Annotated[Float[np.ndarray, "e"], Column(PROBABILITY)]
@@ -134,12 +134,12 @@ class Wireframe(Feature):
     degrees: Int[np.ndarray, "e"]
     edge_of_track: Annotated[
         Int[np.ndarray, "t"],
-        Column(check_number("e", "names an edge that is not there", smallest=-1)),
+        Column(check_index("e", "names an edge that is not there", smallest=-1)),
     ]
     face: Annotated[
-        Int[np.ndarray, "m"], Column(check_number("f", "names a face that is not there"))
+        Int[np.ndarray, "m"], Column(check_index("f", "names a face that is not there"))
     ]
-    face_vertex: Annotated[Int[np.ndarray, "m"], Column(check_number("n", "names no vertex"))]
+    face_vertex: Annotated[Int[np.ndarray, "m"], Column(check_index("n", "names no vertex"))]
     planes: Annotated[Float[np.ndarray, "f 4"], Column(FINITE)]
     planes_covariance: Annotated[Float[np.ndarray, "f 4 4"], Column(COVARIANCE)]
     face_chi_square: Float[np.ndarray, "f"]
