@@ -47,10 +47,16 @@ MatchFrame = Callable[..., Matches]
 
 
 class SureTracks(NamedTuple):
-    """Numbers of tracks in three views that are sure (`three_view`), and nearly certain
-    (`near_certain`).
+    """Numbers of reliable tracks in three views, for the rig or for one decoy.
 
-    Both are counted without the reduction for repeated patterns.
+    Posteriors are computed here without the reduction for repeated patterns.
+
+    Attributes
+    ----------
+    three_view : int
+        Number of sure tracks in three views.
+    near_certain : int
+        Number of tracks with a posterior near 1.
     """
 
     three_view: int
@@ -65,24 +71,33 @@ def check_set(
     tuning: DecoyTuning,
     verify: Verification = "full",
 ) -> Matches:
-    """Return the matches, as SUSPECT if segments and rig do not seem to belong together.
+    """Return the matches, with the status SUSPECT if segments and rig do not belong together.
 
-    A set is suspect if decoys have about as many sure lines as the rig, or if one view is shifted.
+    The status is SUSPECT if decoys have about as many sure lines as the rig, or if a shift of one
+    image explains its residuals. A decoy is the same set of segments with one view mirrored or
+    upside down.
 
     Parameters
     ----------
-    frame : the matched frame.
-    names : the caller's order of views.
-    matches : result for the frame. Sets of two views, or of more than three, are not tested.
-    match : function that matches a frame without the reduction for repeated patterns. Such a
-        pattern lowers all posteriors, but is no evidence against the set.
-    verify : "full" also searches for the mistake in a refused or very doubtful set. "quick" does
-        not. "off" tests nothing.
+    frame : FrameInput
+        Segments and cameras of the frame.
+    names : tuple of str
+        Names of the views in the caller's order.
+    matches : Matches
+        Result for the frame. Results of two views, or of more than three, are not tested.
+    match : callable
+        Matches a frame without the reduction for repeated patterns. A repeated pattern lowers all
+        posteriors, but is no evidence against the set.
+    tuning : DecoyTuning
+        Tuned constants.
+    verify : "full", "quick" or "off"
+        "full" also searches for the mistake in a SUSPECT or very doubtful set. "quick" does not.
+        "off" tests nothing.
 
     Returns
     -------
     Matches
-        In a suspect set no posterior is above 0.5. The first note names the most likely cause.
+        If SUSPECT, no posterior is above 0.5, and the first note names the most likely cause.
     """
     is_usable = [
         ~np.isin(matches.reasons[name], (BEYOND_FOLD, POSITION_UNKNOWN, DUPLICATE))
@@ -119,13 +134,16 @@ def check_set(
 
 
 def _tracks_in_three(matches: Matches, frame: FrameInput) -> Int[np.ndarray, "t 3"]:
-    """Segments (t, 3) of the tracks in three views, in the frame's order of views and segments."""
+    """Return the segments (t, 3) of the tracks in three views, as indices of `frame`.
+
+    Views and segments are numbered as in `frame`, not as in the caller's input.
+    """
     columns = []
     for name, order in zip(frame.names, frame.order, strict=True):
-        number = np.full(len(matches.reasons[name]), -1)
-        number[order] = np.arange(len(order))
+        row_of_segment = np.full(len(matches.reasons[name]), -1)
+        row_of_segment[order] = np.arange(len(order))
         segments = matches.index[:, matches.views.index(name)]
-        columns.append(np.where(segments >= 0, number[segments], -1))
+        columns.append(np.where(segments >= 0, row_of_segment[segments], -1))
     index = np.stack(columns, axis=1)
     return index[(index >= 0).all(axis=1)]
 
@@ -133,7 +151,11 @@ def _tracks_in_three(matches: Matches, frame: FrameInput) -> Int[np.ndarray, "t 
 def count_by_chance(
     frame: FrameInput, sure: SureTracks, share: float, match: MatchFrame, tuning: DecoyTuning
 ) -> list[SureTracks]:
-    """Sure tracks of each decoy. Stops early once the rig clearly has more."""
+    """Match decoys of the frame, and return the numbers of sure tracks of each decoy.
+
+    No further decoy is matched once the rig clearly has more sure tracks than chance gives. `share`
+    is the number of sure tracks over the number of segments.
+    """
     decoy_counts = []
     for decoy in decoys(frame):
         decoy_counts.append(count_sure(match(decoy, three_views_only=True)))
@@ -150,17 +172,16 @@ def _note_of_set(sure: SureTracks, decoy_counts: Sequence[SureTracks], cause: st
 
 
 def count_sure(matches: Matches) -> SureTracks:
-    """Numbers of sure and of nearly certain tracks, from the counts of the matches."""
+    """Return the numbers of sure and of nearly certain tracks of a result."""
     return SureTracks(matches.counts[SURE], matches.counts[CERTAIN])
 
 
 def is_above_chance(
     sure: SureTracks, decoy_counts: Sequence[SureTracks], share: float, tuning: DecoyTuning
 ) -> bool:
-    """Test whether the rig has significantly more sure or nearly certain tracks than its decoys.
+    """True if the rig has significantly more sure or nearly certain tracks than its decoys.
 
-    Chance gives hardly any nearly certain tracks. A few of them are therefore enough where the
-    views overlap little.
+    Decoys have hardly any nearly certain tracks, so a few such tracks of the rig are enough.
     """
     certain_limit = _more_than(
         [counts.near_certain for counts in decoy_counts], tuning.certain_rule
@@ -170,15 +191,19 @@ def is_above_chance(
 
 
 def least_above_chance(counts: Sequence[int], share: float, tuning: DecoyTuning) -> float:
-    """Smallest number of sure tracks in three views that is significant against decoys with
-    `counts`.
+    """Return the smallest number of sure tracks of the rig that is significant against its decoys.
+
+    `counts` are the numbers of sure tracks of the decoys. `share` is that of the rig over its
+    number of segments; a stricter rule applies to a small share.
     """
     return _more_than(counts, tuning.strict_rule if share < tuning.few_share else tuning.usual_rule)
 
 
 def _more_than(counts: Sequence[int], rule: tuple[float, float, float]) -> float:
-    """Upper limit for a count: factor times the mean, plus some Poisson standard deviations,
-    plus a constant.
+    """Return factor * mean + sigmas * sqrt(mean) + constant, for the mean of `counts`.
+
+    `rule` is (factor, sigmas, constant). The square root is the standard deviation of a Poisson
+    count.
     """
     factor, sigmas, constant = rule
     mean = float(np.mean(counts))
@@ -186,7 +211,7 @@ def _more_than(counts: Sequence[int], rule: tuple[float, float, float]) -> float
 
 
 def decoys(frame: FrameInput) -> Iterator[FrameInput]:
-    """Yield three decoys: the same segments with one view mirrored or upside down."""
+    """Yield three decoys, each with the segments of one view mirrored or upside down."""
     for view, change in enumerate((MIRRORED, UPSIDE_DOWN, MIRRORED)):
         yield change_view(frame, view, change)
 
@@ -198,11 +223,11 @@ def find_cause(
     *,
     all_kinds: bool,
 ) -> str | None:
-    """Sentence on the mistake that best explains the segments; None if no mistake does.
+    """Return the sentence on the mistake that best explains a bad result, or None if none does.
 
-    Shifts are always tested. With `all_kinds`, exchanged, turned and resized images are tested
-    too. A mistake is the cause if its correction gives far more sure lines, or as many lines
-    with much smaller errors.
+    Shifted images are always tested. With `all_kinds`, exchanged, turned and resized images are
+    tested too. A mistake explains the result if its correction gives far more sure lines. As many
+    lines with much smaller errors are also enough.
     """
     sample = take_longest(frame, tuning.sample_size)
 
@@ -236,7 +261,9 @@ def find_cause(
 def _doubt(
     matches: Matches, sure: SureTracks, decoy_counts: Sequence[SureTracks], note: str
 ) -> Matches:
-    """The matches as SUSPECT: all posteriors are multiplied by the share above chance, at most
+    """Return the matches with the status SUSPECT and with reduced posteriors.
+
+    All posteriors are multiplied by the share of sure tracks above the number by chance, at most
     0.5.
     """
     mean_by_chance = (

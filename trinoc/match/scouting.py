@@ -55,18 +55,18 @@ def scout_candidates(
     """Candidate triples worth evaluating. The same result as `trinocular_candidates`, but faster
     for more than 1,500 segments per view.
     """
-    numbers = [counts[view] for view in views]
+    view_counts = [counts[view] for view in views]
     orders = prepare_orders(lines, views, counts, clutter, tuning)
-    if lines.frame is not None or min(numbers) <= tuning.scouting.min_segments:
+    if lines.frame is not None or min(view_counts) <= tuning.scouting.min_segments:
         return search_candidates(orders, tuning)
-    all_rows = tuple(np.arange(number) for number in numbers)
-    sample_rows = tuple(_spread(number, tuning.scouting.sample_size) for number in numbers)
+    all_rows = tuple(np.arange(count) for count in view_counts)
+    sample_rows = tuple(_spread(count, tuning.scouting.sample_size) for count in view_counts)
     sampled = search_candidates(orders, tuning, rows=(sample_rows, all_rows))
-    search_prior = _learn_prior(sampled, float(np.mean(numbers)), clutter, tuning)
+    search_prior = _learn_prior(sampled, float(np.mean(view_counts)), clutter, tuning)
     if search_prior is None:
         return search_candidates(orders, tuning)
     regional = search_candidates(orders, tuning, prior=search_prior)
-    is_unexplained = _find_unexplained(regional, views, numbers, search_prior, tuning)
+    is_unexplained = _find_unexplained(regional, views, view_counts, search_prior, tuning)
     remaining_rows = tuple(np.flatnonzero(mask) for mask in is_unexplained)
     unbounded_prior = search_prior._replace(region=None, ends_px=None)
     remaining = search_candidates(
@@ -94,7 +94,7 @@ def _learn_prior(
     if is_sure.sum() < max(rules.min_sure_triples, 2):
         return None
     region = bound_region(selection.candidates.union_ends_mm[is_sure], rules)
-    # Scale the number of lines from the sample to all segments, with the same density.
+    # Scale the count of lines from the sample to all segments, with the same density.
     mixture = selection.mixture
     log_count = mixture.log_count + np.log(count / rules.sample_size)
     least_log_odds = tuning.selection.prune_log_odds - rules.slack_log_odds
@@ -108,7 +108,7 @@ def _learn_prior(
 def _find_unexplained(
     candidates: Candidates,
     views: tuple[int, int, int],
-    numbers: list[int],
+    view_counts: list[int],
     search_prior: SearchPrior,
     tuning: MatchTuning,
 ) -> list[Bool[np.ndarray, "_"]]:
@@ -118,10 +118,10 @@ def _find_unexplained(
     """
     odds = prior_log_odds(candidates, search_prior.mixture, tuning.evidence)
     rules = tuning.selection
-    kept_rows = rows_within_memory(odds, candidates.index, rules.learn_log_odds, rules)
-    index = candidates.index[kept_rows]
-    interval = candidates.interval[kept_rows]
-    odds = odds[kept_rows]
+    selected_rows = rows_within_memory(odds, candidates.index, rules.learn_log_odds, rules)
+    index = candidates.index[selected_rows]
+    interval = candidates.interval[selected_rows]
+    odds = odds[selected_rows]
     graph = conflict_graph(index, interval, tuning.selection)
     posterior = probability(sum_product(odds, graph, tuning.selection).log_odds)
     is_likely = posterior > tuning.scouting.explained_posterior
@@ -129,6 +129,6 @@ def _find_unexplained(
     # If all pairs were tried, any covered part is enough.
     covered_share = 0.0 if search_prior.ends_px is None else tuning.scouting.explained_share
     return [
-        np.bincount(index[is_likely, view], length[:, view], minlength=number) <= covered_share
-        for number, view in zip(numbers, views, strict=True)
+        np.bincount(index[is_likely, view], length[:, view], minlength=count) <= covered_share
+        for count, view in zip(view_counts, views, strict=True)
     ]

@@ -25,7 +25,12 @@ SMALLEST_DENSITY = 1e-30
 def end_evidence(
     extent_px: tuple[tuple[Scalar, Scalar], ...], tuning: EndTuning = DEFAULT.ends
 ) -> Float[ArrayLike, "2 c *h"]:
-    """Log density of each component over that of clutter, at both ends of a triple, (2, c, h)."""
+    """Return the evidence of how well the segment ends of a triple correspond, (2, c, h).
+
+    For both ends of h triples and each of c mixture components, the value is the log of a density
+    ratio: component over clutter. `extent_px` are the positions (low, high) of each segment along
+    the common line.
+    """
     xp = array_namespace(extent_px)
     # Positions of both ends, each counted toward the middle of the line.
     inward = [xp.stack([low, -high]) for low, high in extent_px]
@@ -40,9 +45,12 @@ def end_search_radius_px(
     scouting: ScoutTuning,
     tuning: EndTuning = DEFAULT.ends,
 ) -> float | None:
-    """Largest distance of an end that agrees, px, from the estimated shares of the components.
+    """Return the largest distance, px, at which two segment ends are searched as corresponding
+    ends.
 
-    None if the distance is too large relative to the typical length of segments to be useful.
+    The radius follows from the estimated weights `shares` of the mixture components of
+    `end_evidence`. It is None if it exceeds a share of the typical segment length, because the
+    search would then exclude few pairs.
     """
     scales = np.array([*tuning.agreement_px, *tuning.pair_px, *tuning.pair_px])
     sorted_scales = np.sort(tuning.agreement_px)

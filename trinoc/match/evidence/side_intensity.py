@@ -22,9 +22,10 @@ def polarity_evidence(
     interval: Float[np.ndarray, "m v 2"],
     tuning: EvidenceTuning = DEFAULT.evidence,
 ) -> Float[np.ndarray, "m"]:
-    """Log likelihood ratio of the members' polarities, one line against clutter, (m,).
+    """Log likelihood ratio of the segments' polarities, one line against clutter, (m,).
 
-    `polarity` is +1 or -1 relative to the direction from a segment's first end, 0 if not known.
+    `polarity` is +1 or -1 if the darker side is on the right or on the left, 0 if unknown. `index`
+    and `interval` are those of the candidates.
     """
     views = np.arange(polarity.shape[0])
     direction = np.where(interval[..., 1] > interval[..., 0], 1.0, -1.0)
@@ -49,11 +50,11 @@ def side_evidence(
     interval: Float[np.ndarray, "m v 2"],
     tuning: SideTuning = DEFAULT.sides,
 ) -> Float[np.ndarray, "m s"]:
-    """Log density of the members' levels under each of SIDE_COMPONENTS, over that of clutter, (m,
-    s).
+    """Return the evidence of the grey levels beside the segments of each candidate, (m, s).
 
-    It is zero if fewer than two members have known levels, and fewer than two others have known
-    contrasts. `sides` is the result of `side_table`.
+    For each of the components SIDE_COMPONENTS, the value is the log of a density ratio: component
+    over clutter. It is 0 if fewer than two segments have levels and fewer than two other segments
+    have a contrast. `sides` is the result of `side_table`.
     """
     by_levels = _level_evidence(sides[..., :5], index, interval, tuning)
     return by_levels + _contrast_evidence(sides[..., 5:], index, tuning)
@@ -62,8 +63,9 @@ def side_evidence(
 def _contrast_evidence(
     contrasts: Float[np.ndarray, "v n 2"], index: Int[np.ndarray, "m v"], tuning: SideTuning
 ) -> Float[np.ndarray, "m s"]:
-    """The same evidence for the contrast alone. If one side differs, the contrast may have any
-    value.
+    """Return the evidence of the contrast, for segments whose levels are unknown, (m, s).
+
+    It is 0 for components in which a side differs between the views.
     """
     evidence = np.zeros((len(index), len(SIDE_COMPONENTS)))
     if np.isnan(contrasts[..., 0]).all():
@@ -140,5 +142,5 @@ def _level_evidence(
 def _log_mean(
     first: Float[np.ndarray, "m"], second: Float[np.ndarray, "m"]
 ) -> Float[np.ndarray, "m"]:
-    """Log of the mean of two values, from their logs."""
+    """Return log((a + b) / 2), given log a and log b."""
     return np.logaddexp(first, second) - np.log(2)

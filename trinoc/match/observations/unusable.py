@@ -27,7 +27,7 @@ def exclude_unusable(
     """The frame without unusable segments. `exclusion_reasons` states the reason for each of
     them.
     """
-    kept_rows, all_reasons = [], []
+    selected_rows, all_reasons = [], []
     for order, ends, covariance, polarity, view_reasons in zip(
         frame.order,
         frame.ends_px,
@@ -44,12 +44,14 @@ def exclude_unusable(
         ]
         reasons = np.full(len(ends), POSITION_UNKNOWN, dtype="U40")
         reasons[located], reasons[distinct] = DUPLICATE, ""
-        kept_rows.append(distinct)
+        selected_rows.append(distinct)
         reasons_of_view = view_reasons.astype("U40")
         reasons_of_view[order] = reasons
         all_reasons.append(reasons_of_view)
     columns = {
-        name: [column[rows] for column, rows in zip(getattr(frame, name), kept_rows, strict=True)]
+        name: [
+            column[rows] for column, rows in zip(getattr(frame, name), selected_rows, strict=True)
+        ]
         for name in ("order", "ends_px", "covariance_px2", "polarity", "sides")
     }
     return frame._replace(**columns, exclusion_reasons=all_reasons)

@@ -75,8 +75,8 @@ def _find_parallels(
         1.2 * largest_px, output_type="ndarray"
     )
     i, j = owner[near_samples].T
-    number = np.unique(np.concatenate([i * len(length) + j, j * len(length) + i]))
-    i, j = np.divmod(number, len(length))
+    pair_id = np.unique(np.concatenate([i * len(length) + j, j * len(length) + i]))
+    i, j = np.divmod(pair_id, len(length))
     sine = unit[i, 0] * unit[j, 1] - unit[i, 1] * unit[j, 0]
     is_parallel = (i != j) & (np.abs(sine) < tuning.junctions.smallest_sine)
     i, j = i[is_parallel], j[is_parallel]

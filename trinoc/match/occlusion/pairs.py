@@ -109,8 +109,8 @@ def occluded_pairs(
         # In a scene with junctions, a pair may be right although its ends do not agree.
         if not np.any(junctions.end_at_junction >= tuning.junctions.min_junction_share):
             typical_px = float(np.asarray(clutter.typical_px))
-            reach_px = end_search_radius_px(mixture.ends, typical_px, tuning.scouting, tuning.ends)
-            agree_px = None if reach_px is None else tuning.occlusion.ends_factor * reach_px
+            search_px = end_search_radius_px(mixture.ends, typical_px, tuning.scouting, tuning.ends)
+            agree_px = None if search_px is None else tuning.occlusion.ends_factor * search_px
 
     def keep_likely(pairs: Candidates) -> Candidates:
         """Pairs in the depth range that are likely by the rates known so far. This limits the
@@ -178,10 +178,10 @@ def _initial_rates(
     largest = max(selections, key=lambda selection: selection.is_accepted.sum(), default=None)
     if largest is None:
         return prior_rates
-    number = group_sums(
+    accepted_count = group_sums(
         largest.is_accepted.astype(np.float64), largest.candidates.frame, np.size(mean_counts)
     )
-    has_enough = number >= tuning.tracks.min_tracks_to_learn
+    has_enough = accepted_count >= tuning.tracks.min_tracks_to_learn
 
     def choose(learned_value: ArrayLike | float, prior_rates: ArrayLike | float) -> np.ndarray:
         axes = tuple(range(np.ndim(has_enough), np.ndim(prior_rates)))
@@ -222,8 +222,8 @@ def pairs_beside_lines(
     log_missed = float(np.log(rules.miss_probability))
     mixture, junctions = initial_rates
     evidence = log_odds_among_lines(pairs, mixture, tuning)
-    kept_rows, log_share = likely_pair_rows(pairs, matched.candidates, evidence, tuning)
-    candidates, evidence = pairs.take(kept_rows), evidence[kept_rows]
+    selected_rows, log_share = likely_pair_rows(pairs, matched.candidates, evidence, tuning)
+    candidates, evidence = pairs.take(selected_rows), evidence[selected_rows]
     frame = candidates.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
     all_candidates = _join_candidates(matched.candidates, candidates)

@@ -122,11 +122,11 @@ def _prior_profile(
     tuning: OcclusionTuning,
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
     """Width of each bin, and its prior share: a box, and a small share beyond."""
-    bins, reach = BINS, tuning.profile_sigmas
-    edges, half = np.linspace(-reach, reach, bins + 1), np.sqrt(3.0)
+    bins, limit = BINS, tuning.profile_sigmas
+    edges, half = np.linspace(-limit, limit, bins + 1), np.sqrt(3.0)
     inside = np.maximum(np.minimum(edges[1:], half) - np.maximum(edges[:-1], -half), 0.0)
     prior_share = (1 - tuning.uniform_share) * inside / inside.sum() + tuning.uniform_share / bins
-    width = np.full(bins, 2 * reach / bins)
+    width = np.full(bins, 2 * limit / bins)
     width[[0, -1]] *= tuning.outer_bin_factor
     return width, prior_share
 
@@ -253,10 +253,10 @@ def match_pairs_alone(
             )
         return evidence + ends + lengths + prior + position_density
 
-    kept_rows, log_share = likely_pair_rows(
+    selected_rows, log_share = likely_pair_rows(
         pairs, matched, prior_odds(pairs, evidence, rates), tuning
     )
-    candidates, evidence = pairs.take(kept_rows), evidence[kept_rows]
+    candidates, evidence = pairs.take(selected_rows), evidence[selected_rows]
     frame = candidates.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
     end_pairs = endpoint_pairs(candidates, evidence, tuning.junctions, tuning.evidence)

@@ -96,11 +96,13 @@ def _evaluate_pairs(
             possible = may_be_likely(bound, possible, columns, tuning=tuning.evidence)
         return possible, columns
 
-    kept_rows, columns = select_in_blocks(evaluate, block_size(lines, TRIPLES_IN_BLOCK), segments)
+    selected_rows, columns = select_in_blocks(
+        evaluate, block_size(lines, TRIPLES_IN_BLOCK), segments
+    )
     interval, ends_mm, *rest = split_columns(columns, shapes)
     # The chi-square of two views is always 0.
-    evidence_columns = interval, ends_mm, np.zeros(len(kept_rows)), *rest
-    return build_candidates(lines, views, segments[kept_rows], evidence_columns, tuning)
+    evidence_columns = interval, ends_mm, np.zeros(len(selected_rows)), *rest
+    return build_candidates(lines, views, segments[selected_rows], evidence_columns, tuning)
 
 
 @partial(kept_jit, static_argnames=("tuning", "ends"), few_rows_of="pairs")
@@ -221,8 +223,8 @@ def likely_pair_rows(
         ~use_claimed_parts(likely.index, likely.interval, matched.index, matched.interval, rules)
     ]
     odds, index = odds[rows], candidates.index[rows]
-    kept_rows = rows_within_memory(odds, index, -np.inf, rules)
-    return rows[kept_rows], log_kept_share(odds, index, kept_rows)
+    selected_rows = rows_within_memory(odds, index, -np.inf, rules)
+    return rows[selected_rows], log_kept_share(odds, index, selected_rows)
 
 
 def log_odds_among_lines(

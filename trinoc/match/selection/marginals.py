@@ -95,10 +95,10 @@ def select(
     mixture = prior_parameters(candidates.ends_mm, typical_count, tuning, candidates.frame)
     # EM uses only the likely candidates, which are far fewer and have far fewer conflicts.
     odds = prior_log_odds(candidates, mixture, evidence)
-    kept_rows = rows_within_memory(
+    selected_rows = rows_within_memory(
         odds, candidates.index, selection_tuning.learn_log_odds, selection_tuning
     )
-    likely = candidates.take(kept_rows)
+    likely = candidates.take(selected_rows)
     graph = conflict_graph(likely.index, likely.interval, selection_tuning)
     beliefs = None
     for _ in range(selection_tuning.em_rounds):
@@ -110,18 +110,18 @@ def select(
         )
     odds = prior_log_odds(candidates, mixture, evidence)
     possible_rows = np.flatnonzero(odds > selection_tuning.prune_log_odds)
-    kept_rows = rows_within_memory(
+    selected_rows = rows_within_memory(
         odds, candidates.index, selection_tuning.prune_log_odds, selection_tuning
     )
-    log_share = np.zeros(len(kept_rows))
-    discarded_index = candidates.index[np.setdiff1d(possible_rows, kept_rows)]
-    if len(kept_rows) < len(possible_rows):
+    log_share = np.zeros(len(selected_rows))
+    discarded_index = candidates.index[np.setdiff1d(possible_rows, selected_rows)]
+    if len(selected_rows) < len(possible_rows):
         log_share = log_kept_share(
             odds[possible_rows],
             candidates.index[possible_rows],
-            np.searchsorted(possible_rows, kept_rows),
+            np.searchsorted(possible_rows, selected_rows),
         )
-    candidates, odds = candidates.take(kept_rows), odds[kept_rows]
+    candidates, odds = candidates.take(selected_rows), odds[selected_rows]
     graph = conflict_graph(candidates.index, candidates.interval, selection_tuning)
     beliefs = sum_product(odds, graph, selection_tuning, candidates.frame)
     posterior_log_odds = beliefs.log_odds

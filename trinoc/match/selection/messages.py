@@ -88,8 +88,8 @@ def rows_within_memory(
 
     If their conflicts exceed the memory limit, only the most likely candidates remain.
     """
-    kept_rows = np.flatnonzero(log_odds > above)
-    log_odds, index = log_odds[kept_rows], index[kept_rows]
+    selected_rows = np.flatnonzero(log_odds > above)
+    log_odds, index = log_odds[selected_rows], index[selected_rows]
 
     def conflicts(threshold: float) -> int:
         rows = index[log_odds >= threshold]
@@ -104,18 +104,20 @@ def rows_within_memory(
             ordered, True, key=lambda odds: conflicts(odds) <= tuning.max_conflicts
         )
         threshold = ordered[position]
-    return kept_rows[log_odds >= threshold]
+    return selected_rows[log_odds >= threshold]
 
 
 def log_kept_share(
-    log_odds: Float[np.ndarray, "m"], index: Int[np.ndarray, "m v"], kept_rows: Int[np.ndarray, "k"]
+    log_odds: Float[np.ndarray, "m"],
+    index: Int[np.ndarray, "m v"],
+    selected_rows: Int[np.ndarray, "k"],
 ) -> Float[np.ndarray, "k"]:
     """Log of the share of the kept candidates in the odds of all candidates of a segment, (k,).
 
     For a candidate it is the smallest value of its segments. It is the probability that the
     right candidate was kept, when others were discarded to limit the memory.
     """
-    share = np.zeros(len(kept_rows))
+    share = np.zeros(len(selected_rows))
     for view in range(index.shape[1]):
         segment = index[:, view]
         rows = np.flatnonzero(segment >= 0)
@@ -126,14 +128,14 @@ def log_kept_share(
         odds = np.zeros(len(segment))
         odds[rows] = np.exp(log_odds[rows] - largest[segment[rows]])
         odds_of_none = np.exp(-largest)
-        kept_rows_in_view = kept_rows[segment[kept_rows] >= 0]
+        kept_rows_in_view = selected_rows[segment[selected_rows] >= 0]
         all_odds = np.bincount(segment[rows], odds[rows], count) + odds_of_none
         kept_odds = (
             np.bincount(segment[kept_rows_in_view], odds[kept_rows_in_view], count) + odds_of_none
         )
-        kept_segment = np.where(segment[kept_rows] >= 0, segment[kept_rows], 0)
+        kept_segment = np.where(segment[selected_rows] >= 0, segment[selected_rows], 0)
         log_share = np.log(kept_odds / all_odds)[kept_segment] if count else share
-        share = np.minimum(share, np.where(segment[kept_rows] >= 0, log_share, 0.0))
+        share = np.minimum(share, np.where(segment[selected_rows] >= 0, log_share, 0.0))
     return share
 
 

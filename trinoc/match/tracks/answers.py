@@ -294,37 +294,37 @@ def build_matches(
         np.stack([frame_input.cameras.centre_mm for frame_input in inputs.frames])
     )
     results = []
-    for frame_number, view_names in enumerate(names):
-        rows_of_frame = order[slice(*bounds[frame_number : frame_number + 2])]
+    for f, view_names in enumerate(names):
+        rows_of_frame = order[slice(*bounds[f : f + 2])]
         frame_columns: dict[str, Any] = {
             name: column[rows_of_frame] for name, column in columns.items()
         }
         frame_reasons = {
-            name: reasons_of_frames[frame_number][view]
-            for name, view in zip(view_names, view_order[frame_number].tolist(), strict=True)
+            name: reasons_of_frames[f][view]
+            for name, view in zip(view_names, view_order[f].tolist(), strict=True)
         }
-        scale = float(noise_scale[frame_number])
-        numbers = {name: int(frame_counts[frame_number]) for name, frame_counts in counts.items()}
+        scale = float(noise_scale[f])
+        counts_of_frame = {name: int(frame_counts[f]) for name, frame_counts in counts.items()}
         results.append(
             Matches(
                 **frame_columns,
                 views=view_names,
                 reasons=frame_reasons,
-                counts=numbers | count_reasons(frame_reasons),
+                counts=counts_of_frame | count_reasons(frame_reasons),
                 noise_scale=scale,
                 notes=(
                     *write_notes(
                         len(view_names),
-                        bool(is_collinear[frame_number]),
-                        numbers[UNLOCATED_TRACKS],
+                        bool(is_collinear[f]),
+                        counts_of_frame[UNLOCATED_TRACKS],
                         scale,
-                        numbers[DISCARDED_TRIPLES],
+                        counts_of_frame[DISCARDED_TRIPLES],
                         tuning,
                     ),
-                    *narrow_notes(inputs.frames[frame_number]),
-                    *_fold_notes(inputs.frames[frame_number]),
+                    *narrow_notes(inputs.frames[f]),
+                    *_fold_notes(inputs.frames[f]),
                 ),
-                noise_tail=float(tail[frame_number]),
+                noise_tail=float(tail[f]),
             )
         )
     return results

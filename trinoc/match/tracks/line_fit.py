@@ -256,8 +256,8 @@ def _triangulate_tracks(
     shown: Bool[ArrayLike, "t v"],
 ) -> Segment3D:
     matrix = matrix_px if frame is None else matrix_px[frame]
-    each = jax.vmap(triangulate_segment, in_axes=(None if frame is None else 0, 0, 0, 0))
-    return each(matrix, fragments_px, covariance_px2, shown)
+    triangulate = jax.vmap(triangulate_segment, in_axes=(None if frame is None else 0, 0, 0, 0))
+    return triangulate(matrix, fragments_px, covariance_px2, shown)
 
 
 def fit_lines(

@@ -49,7 +49,7 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
     matrix, segment_ends = np.asarray(lines.matrix_px), np.asarray(lines.ends_px)
     conflict, smallest_share = tuning.selection.conflict_overlap, tuning.tracks.min_shared_part
     on_segment: dict[tuple[int, int], list[int]] = {}
-    kept_rows, links = [], []
+    selected_rows, links = [], []
     for row in order.tolist():
         views = np.flatnonzero(index[row] >= 0)
         rivals = [
@@ -59,7 +59,7 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
             if overlap_share(interval[track, view], interval[row, view]) > conflict
         ]
         if not rivals:
-            kept_rows.append(row)
+            selected_rows.append(row)
             for view in views:
                 on_segment.setdefault((int(view), int(index[row, view])), []).append(row)
             continue
@@ -84,9 +84,11 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
             _cut(index, interval, ends, track, matrix, segment_ends)
             on_segment.setdefault((int(view), int(index[row, view])), []).append(track)
     merged_rows = _link_tracks(links, index, interval, ends, matrix, segment_ends, smallest_share)
-    kept_rows = np.array([row for row in kept_rows if row not in merged_rows], dtype=np.int64)
+    selected_rows = np.array(
+        [row for row in selected_rows if row not in merged_rows], dtype=np.int64
+    )
     candidates = tracks.candidates._replace(index=index, interval=interval, ends_mm=ends)
-    return tracks._replace(candidates=candidates).take(kept_rows)
+    return tracks._replace(candidates=candidates).take(selected_rows)
 
 
 def _link_tracks(

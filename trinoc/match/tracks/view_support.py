@@ -122,7 +122,9 @@ def chance_rates(
         is_other_segment = hit.segment != tracks.index[visible_rows[hit.track], view]
         hits[view] = len(np.unique(hit.track[is_other_segment]))
     number = visible.sum(axis=0)
-    return (hits + rules.prior_random_rate * rules.prior_lines) / (number + rules.prior_lines)
+    return (hits + rules.prior_random_rate * rules.prior_lines) / (
+        visible_count + rules.prior_lines
+    )
 
 
 def right_rates(
