@@ -94,7 +94,7 @@ def _learn_prior(
     if is_sure.sum() < max(rules.min_sure_triples, 2):
         return None
     region = bound_region(selection.candidates.union_ends_mm[is_sure], rules)
-    # Scale the count of lines from the sample to all segments, with the same density.
+    # Scale the number of lines from the sample to all segments, with the same density.
     mixture = selection.mixture
     log_count = mixture.log_count + np.log(count / rules.sample_size)
     least_log_odds = tuning.selection.prune_log_odds - rules.slack_log_odds

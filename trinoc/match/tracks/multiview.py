@@ -21,8 +21,9 @@ from trinoc.match.tuning.tracks import TrackTuning
 def view_triplets(
     lines: SegmentTable, tuning: TrackTuning = DEFAULT.tracks
 ) -> list[tuple[int, int, int]]:
-    """View triplets to match: all of them for few views, else each view with two of its nearest
-    views.
+    """Return the triplets of views to match.
+
+    Few views: all triplets. Many views: each view with any two of its nearest views.
     """
     views = lines.size_px.shape[-2]
     if views <= tuning.max_views_all_triplets:
@@ -39,8 +40,9 @@ def view_triplets(
 
 
 def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DEFAULT) -> Tracks:
-    """Merge triples of several view triplets to tracks through all views, the most likely triple
-    first.
+    """Merge the triples of several triplets of views to tracks through all views.
+
+    The most likely triples are merged first.
     """
     order = np.lexsort((*tracks.candidates.index.T, -tracks.posterior_log_odds))
     index = tracks.candidates.index.copy()
@@ -100,11 +102,11 @@ def _link_tracks(
     segment_ends_px: Float[np.ndarray, "v n 2 2"],
     least_shared: float,
 ) -> set[int]:
-    """Merge tracks of different views that links tie in both directions; returns the absorbed
-    tracks.
+    """Merge pairs of tracks without a common view that are linked in both directions.
 
-    A link (a, b) is a triple with two segments of track a and one of track b. Links (a, b) and
-    (b, a) together show that the segments of both tracks are of one line.
+    A link (a, b) is a triple with two segments of track a and one segment of track b. Links (a, b)
+    and (b, a) together are evidence that both tracks show one line. The arrays are changed in
+    place. Returns the tracks that were merged into another track.
     """
     merged: set[int] = set()
     merged_into: dict[int, int] = {}
@@ -142,7 +144,7 @@ def _cut(
     matrix_px: Float[np.ndarray, "v 3 4"],
     segment_ends_px: Float[np.ndarray, "v n 2 2"],
 ) -> None:
-    """Cut a track's line, in place, to the part that all of its segments show."""
+    """Shorten the line of a track to the part that all of its segments show, in place."""
     views = np.flatnonzero(index[track] >= 0)
     begin, end = 0.0, 1.0
     for view in views:
