@@ -34,10 +34,10 @@ def find_triples(
     depth_range_mm: tuple[float, float] | None,
     tuning: MatchTuning,
 ) -> Iterator[tuple[tuple[int, int, int], Candidates, Int[np.ndarray, "_o _v"]]]:
-    """Yield the candidates of each view triplet.
+    """Yield the candidate triples of each triplet of views.
 
-    Each item is (the three views, candidates within the depth range, segments (o, v) of the
-    candidates outside it).
+    Each item is (the three views, candidates in the depth range, segments (o, v) of the other
+    candidates).
     """
     for views in view_triplets(inputs.lines, tuning.tracks):
         candidates = scout_candidates(inputs.lines, views, inputs.counts, clutter, tuning)
@@ -52,8 +52,10 @@ def scout_candidates(
     clutter: ClutterModel,
     tuning: MatchTuning,
 ) -> Candidates:
-    """Candidate triples worth evaluating. The same result as `trinocular_candidates`, but faster
-    for more than 1,500 segments per view.
+    """Return the candidate triples of three views, with less work than `trinocular_candidates`.
+
+    For more than 1,500 segments per view, a sample of the segments restricts the search. Unlikely
+    candidates may be missing.
     """
     view_counts = [counts[view] for view in views]
     orders = prepare_orders(lines, views, counts, clutter, tuning)
@@ -78,14 +80,20 @@ def scout_candidates(
 
 
 def _spread(count: int, sample_size: int) -> Int[np.ndarray, "_"]:
-    """Indices of an evenly spaced sample of the segments, which are sorted by position."""
+    """Return the indices of an evenly spaced sample of `count` segments, which are sorted by
+    position.
+    """
     return np.unique(np.linspace(0, count - 1, min(sample_size, count)).astype(np.int64))
 
 
 def _learn_prior(
     candidates: Candidates, count: float, clutter: ClutterModel, tuning: MatchTuning
 ) -> SearchPrior | None:
-    """Search prior estimated from the triples of a sample; None if too few of them are sure."""
+    """Estimate the restrictions of the search from the triples of a sample.
+
+    The result is None if too few of these triples are sure. `count` is the number of segments per
+    view.
+    """
     rules = tuning.scouting
     selection = select(candidates, float(rules.sample_size), neighbours=False, tuning=tuning)
     is_sure = selection.is_accepted & (
@@ -112,9 +120,10 @@ def _find_unexplained(
     search_prior: SearchPrior,
     tuning: MatchTuning,
 ) -> list[Bool[np.ndarray, "_"]]:
-    """Mask of the segments of each view that likely candidates explain only in part.
+    """Return the mask of the segments in each view of which likely candidates use only a part, or
+    none.
 
-    Likelihoods include the exclusion of rivals.
+    A candidate is likely if its posterior under the exclusion of rivals is large.
     """
     odds = prior_log_odds(candidates, search_prior.mixture, tuning.evidence)
     rules = tuning.selection

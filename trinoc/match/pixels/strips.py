@@ -40,7 +40,7 @@ class Strips(NamedTuple):
     share : (b, r, c)
         Position along the image, 0 at its first end and 1 at its second.
     level : (b, r, c)
-        Grey level, or light if the response of the camera is known.
+        Grey level, or light for a nonlinear camera response.
     usable : (b, r, c)
         True for pixels to use: near no other segment, and with only usable pixels up to the edge.
     line : (b,)
