@@ -99,7 +99,7 @@ def match_segments(
 
 
 def check_depth_range(depth_range_mm: tuple[float, float] | None) -> None:
-    """Raise `InputError` if the range is neither None nor two depths with 0 <= smallest < largest."""
+    """Raise `InputError` unless the range is None or two depths with 0 <= smallest < largest."""
     if depth_range_mm is None:
         return
     smallest, largest = depth_range_mm if np.shape(depth_range_mm) == (2,) else (np.nan, np.nan)

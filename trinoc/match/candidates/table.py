@@ -56,7 +56,7 @@ class Candidates(NamedTuple):
     frame: Int[np.ndarray, "m"] | None = None
 
     def take(self, rows: np.ndarray) -> "Candidates":
-        """Return the candidates with the given indices, or the candidates for which a mask is true."""
+        """Return the candidates with the given indices, or those for which a mask is true."""
         return take_rows(self, rows)
 
 

@@ -137,7 +137,11 @@ def trinocular_candidates(
     clutter: ClutterModel,
     tuning: MatchTuning = DEFAULT,
 ) -> Candidates:
-    """Return all candidate triples of three views. The pair that crosses best predicts each triple."""
+    """Return all candidate triples of three views.
+
+    Each triple is predicted by the two segments whose interpretation planes cross at the widest
+    angle.
+    """
     return search_candidates(prepare_orders(lines, views, counts, clutter, tuning), tuning)
 
 

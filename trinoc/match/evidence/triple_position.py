@@ -122,7 +122,7 @@ class _LineIntervals(NamedTuple):
     possible: Bool[ArrayLike, "*h"]
 
     def points(self, *positions: Scalar) -> Vector3:
-        """Return the points of the line at the given positions, with a leading axis of positions."""
+        """Return the points of the line at given positions, with a leading axis of positions."""
         return add3(
             in_front(self.origin),
             in_front(self.direction),

@@ -108,7 +108,7 @@ def line_ends(joined: JoinedLines) -> Ends:
 def corner_candidates(
     ends: Ends, joined: JoinedLines, tuning: MatchTuning = DEFAULT
 ) -> tuple[Int[np.ndarray, "p 2"], Float[np.ndarray, "p"]]:
-    """Return the pairs of line ends that probably meet, (p, 2), and their log probabilities, (p,)."""
+    """Return the pairs of line ends that probably meet, (p, 2), and their log probabilities."""
     if len(joined) < 2:
         return np.zeros((0, 2), dtype=np.int64), np.zeros(0)
     junction_tuning = tuning.junctions

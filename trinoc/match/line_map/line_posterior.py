@@ -116,7 +116,7 @@ def line_posteriors(
 def shares_of_tail(
     tail: float, tuning: CollinearTuning = DEFAULT.collinear
 ) -> Float[np.ndarray, "3"]:
-    """Return the probability of each of the three error scales, (3,), for the given `noise_tail`."""
+    """Return the probability of each of the three error scales, (3,), for a given `noise_tail`."""
     factor = np.clip(tail / tuning.error_tail, 1.0, tuning.max_share_factor)
     large_shares = factor * np.array(tuning.error_shares[1:])
     return np.concatenate([[1 - large_shares.sum()], large_shares])

@@ -54,11 +54,13 @@ class JoinedLines(Value):
         return tracks[np.argsort(self.place_mm[tracks, 0], kind="stable")]
 
     def gaps_mm(self, line: int | np.integer) -> Float[np.ndarray, "g 2"]:
-        """Return the intervals of a line that no track shows, (g, 2) mm from the line's first end."""
+        """Return the intervals of a line that no track shows, (g, 2) mm from its first end."""
         return _gaps(self.place_mm[self.tracks_of(line)])
 
     def overlaps_mm(self, line: int | np.integer) -> Float[np.ndarray, "o 2"]:
-        """Return the intervals that two or more tracks show, (o, 2) mm from the line's first end."""
+        """Return the intervals of a line that two or more tracks show, (o, 2) mm from its first
+        end.
+        """
         interval = self.place_mm[self.tracks_of(line)]
         end_so_far = np.maximum.accumulate(interval[:, 1])
         overlap = np.stack([interval[1:, 0], np.minimum(end_so_far[:-1], interval[1:, 1])], axis=1)

@@ -68,7 +68,10 @@ def match_occluded(
     depth_range_mm: tuple[float, float] | None,
     tuning: MatchTuning = DEFAULT,
 ) -> tuple[Tracks, Pairs]:
-    """Match the segments that only two views show. Returns (tracks with tempered log odds, pairs)."""
+    """Match the segments that only two views show, and temper the log odds of the tracks.
+
+    Returns (tracks, pairs).
+    """
     lines, counts = inputs.lines, inputs.counts
     bodies = estimate_bodies(lines, tracks, selections, tuning)
     tracks = temper_tracks(lines, tracks, bodies, tuning)

@@ -94,7 +94,10 @@ def sample_strips(
 
 
 def connected_to_middle(is_good: Bool[np.ndarray, "*b c"]) -> Bool[np.ndarray, "*b c"]:
-    """Return the mask of the columns that are good, as are all columns between them and the middle."""
+    """Return the mask of the good columns that are connected to the middle column, (..., c).
+
+    A column is connected if all columns between it and the middle are good.
+    """
     left_half = np.logical_and.accumulate(is_good[..., HALF::-1], axis=-1)[..., ::-1]
     right_half = np.logical_and.accumulate(is_good[..., HALF:], axis=-1)
     return np.concatenate([left_half[..., :-1], right_half], axis=-1)

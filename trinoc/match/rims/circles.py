@@ -30,7 +30,10 @@ _CIRCLE_POINTS = 8
 def usual_mm_per_px(
     lines_mm: Float[np.ndarray, "t 2 3"], rig: Rig, views: tuple[str, ...]
 ) -> float:
-    """Return the size of one pixel at the lines, median over lines and views, mm; 1 without lines."""
+    """Return the size of one pixel at the lines, median over lines and views, mm.
+
+    Without lines it is 1.
+    """
     length = np.linalg.norm(lines_mm[:, 1] - lines_mm[:, 0], axis=1)
     scales = []
     for name in views:

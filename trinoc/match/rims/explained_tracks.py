@@ -153,7 +153,7 @@ def with_rows(
 def _segments_on_tracks(
     matches: Matches, chords: Chords, is_selected: Bool[np.ndarray, "n"]
 ) -> Bool[np.ndarray, "t v"]:
-    """Return the mask of the views whose segment on a track is one of the selected chords, (t, v)."""
+    """Return the mask of the views in which the track's segment is a selected chord, (t, v)."""
     is_on_track = np.zeros(matches.index.shape, dtype=bool)
     for view in range(matches.index.shape[1]):
         selected = chords.segment[is_selected & (chords.view == view)]

@@ -32,7 +32,7 @@ def cameras_are_collinear(centre_mm: Float[np.ndarray, "f v 3"]) -> Bool[np.ndar
 
 
 def narrow_notes(frame: FrameInput) -> tuple[str, ...]:
-    """Return the warning that two cameras are too close together for depth, or an empty tuple.
+    """Return the warning that two cameras are too close together for depth, or no warning.
 
     The distance is compared with the depth of the scene.
     """
@@ -61,7 +61,7 @@ def narrow_notes(frame: FrameInput) -> tuple[str, ...]:
 
 
 def _fold_notes(frame: FrameInput) -> tuple[str, ...]:
-    """Return the warning that segments beyond the fold of a lens are excluded, or an empty tuple."""
+    """Return the warning that segments beyond the fold of a lens are excluded, or no warning."""
     counts = {
         name: int((reasons == BEYOND_FOLD).sum())
         for name, reasons in zip(frame.names, frame.exclusion_reasons, strict=True)
@@ -398,7 +398,7 @@ def _with_unequal_errors(
 def _in_caller_order(
     inputs: MatchInput, lines: TrackLines, frame: Int[np.ndarray, "t"]
 ) -> tuple[Int[np.ndarray, "t v"], Float[np.ndarray, "t v 2 2"]]:
-    """Return the segment indices of the caller's input, and the fragments in pixels of the image."""
+    """Return the segment indices of the caller's input, and the fragments in image pixels."""
     index, fragments = np.full(lines.index.shape, -1), lines.fragments_px.copy()
     for view in range(lines.index.shape[1]):
         has_line = np.flatnonzero(lines.index[:, view] >= 0)

@@ -48,7 +48,10 @@ def two_view_span(extents: Float[np.ndarray, "t v 2"]) -> Float[np.ndarray, "t 2
 def points_on_lines(
     ends_mm: Float[np.ndarray, "t 2 3"], span: Float[np.ndarray, "t 2"]
 ) -> Float[np.ndarray, "t 2 3"]:
-    """Return the points at two positions on each line, (t, 2, 3); 0 is its first end, 1 its second."""
+    """Return the points at two positions on each line, (t, 2, 3) mm.
+
+    0 is the first end of the line, 1 its second end.
+    """
     return ends_mm[:, :1] + span[..., None] * (ends_mm[:, 1] - ends_mm[:, 0])[:, None]
 
 
@@ -248,7 +251,7 @@ def _release_cut_ends(
 def lie_before_cameras(
     lines: SegmentTable, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Bool[np.ndarray, "t"]:
-    """Return the mask of the tracks whose line lies in front of every camera that shows it, (t,)."""
+    """Return the mask of the tracks whose line is in front of every camera that shows it, (t,)."""
     matrix = take_matrices(lines, look_up_frames(lines, index))
     depth = matrix[..., 2, :3] @ ends_mm.mT + matrix[..., 2, 3:]
     return np.asarray(((depth > 0).all(axis=2) | (index < 0)).all(axis=1))

@@ -59,7 +59,7 @@ def fit_tails(
     has_images: Bool[np.ndarray, "f"],
     tuning: NoiseTuning = DEFAULT.noise,
 ) -> Float[np.ndarray, "f"]:
-    """Estimate the tail of the tracks' error distribution for each frame, (f,), as `fit_tail` does."""
+    """Estimate the tail of the tracks' error distribution for each frame, (f,). See `fit_tail`."""
     prior = np.where(has_images[:, None], tuning.tail_of_images, tuning.tail_otherwise)
     shape, mean = prior[:, :1], prior[:, 1:]
     tail = np.geomspace(_SMALLEST_TAIL, _LARGEST_TAIL, _TAILS)

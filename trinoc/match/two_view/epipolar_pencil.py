@@ -104,7 +104,7 @@ class PencilSegments(NamedTuple):
 
     @property
     def end_variance_px2(self) -> tuple[Scalar, Scalar]:
-        """Variance of the position along the segment, px^2, at the fixed angles `low` and `high`."""
+        """Variance of the position along the segment at the fixed angles `low` and `high`, px^2."""
         return self.columns[14], self.columns[15]
 
     def with_slope_error(self, variance: Scalar) -> "PencilSegments":

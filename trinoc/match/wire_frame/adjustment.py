@@ -48,7 +48,7 @@ class Graph(NamedTuple):
 
 
 def build_graph(joined: JoinedLines, corners: Corners, free_end_px: float) -> Graph:
-    """Build the graph with one vertex for each corner, and one for each line end without a corner."""
+    """Build the graph with one vertex for each corner and for each line end without a corner."""
     count = len(joined)
     vertex = np.full((count, 2), -1)
     vertex[corners.line, corners.end] = corners.corner

@@ -290,7 +290,7 @@ def _is_no_line(matches: Matches) -> Bool[np.ndarray, "t"]:
 def _vertex_misfits(
     snooping: SnoopingResult,
 ) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """Return the chi-square of all line ends at each vertex, and its degrees of freedom, (n,) each."""
+    """Return chi-square and degrees of freedom of all line ends at each vertex, (n,) each."""
     vertex = snooping.graph.vertex.reshape(-1)
     residual = snooping.adjusted.residual_mm[:, :, :2, None]
     square = residual.mT @ np.linalg.solve(snooping.adjusted.across_mm2, residual)
