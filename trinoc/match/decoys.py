@@ -73,16 +73,16 @@ def check_set(
 ) -> Matches:
     """Return the matches, with the status SUSPECT if segments and rig do not belong together.
 
-    The status is SUSPECT if decoys have about as many sure lines as the rig, or if a shift of one
-    image explains its residuals. A decoy is the same set of segments with one view mirrored or
-    upside down.
+    The status is SUSPECT in two cases. Decoys have about as many sure lines as the rig, or a shift
+    of one image explains the residuals of that image. A decoy is the same set of segments with one
+    view mirrored or upside down.
 
     Parameters
     ----------
     frame : FrameInput
         Segments and cameras of the frame.
     names : tuple of str
-        Names of the views in the caller's order.
+        Names of the views in the caller's sequence.
     matches : Matches
         Result for the frame. Results of two views, or of more than three, are not tested.
     match : callable
@@ -134,10 +134,7 @@ def check_set(
 
 
 def _tracks_in_three(matches: Matches, frame: FrameInput) -> Int[np.ndarray, "t 3"]:
-    """Return the segments (t, 3) of the tracks in three views, as indices of `frame`.
-
-    Views and segments are numbered as in `frame`, not as in the caller's input.
-    """
+    """Return the segments (t, 3) of the tracks in three views, numbered as in `frame`."""
     columns = []
     for name, order in zip(frame.names, frame.order, strict=True):
         row_of_segment = np.full(len(matches.reasons[name]), -1)
@@ -193,8 +190,8 @@ def is_above_chance(
 def least_above_chance(counts: Sequence[int], share: float, tuning: DecoyTuning) -> float:
     """Return the smallest number of sure tracks of the rig that is significant against its decoys.
 
-    `counts` are the numbers of sure tracks of the decoys. `share` is that of the rig over its
-    number of segments; a stricter rule applies to a small share.
+    `counts` are the numbers of sure tracks of the decoys. `share` is the number of sure tracks of
+    the rig over its number of segments. A stricter rule applies to a small share.
     """
     return _more_than(counts, tuning.strict_rule if share < tuning.few_share else tuning.usual_rule)
 

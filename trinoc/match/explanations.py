@@ -80,8 +80,8 @@ def seems_shifted(frame: FrameInput, index: Int[np.ndarray, "t 3"], tuning: Deco
     """True if a shift of one image explains most residuals of that image.
 
     A residual is the distance of a segment's midpoint from the line that the two other views
-    predict. A shift s of the image changes it by n . s, with n the unit normal of the line. `index`
-    (t, 3) are the segments of the tracks.
+    predict. A shift s of the image changes this distance by n . s, with n the unit normal of the
+    line. `index` (t, 3) are the segments of the tracks.
     """
     if len(index) < MIN_RESIDUALS:
         return False

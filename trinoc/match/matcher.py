@@ -54,18 +54,18 @@ def match_segments(
         detector, in pixels of the image, are also accepted. Two views give pairs only. Three or
         more views give triples, and pairs of segments that the other views do not show.
     rig : Rig
-        The cameras. It contains every name in `segments` and may contain more.
+        The cameras. A rig may have more cameras than `segments` has names.
     sigma_px : float, optional
-        Standard deviation of the ends across the segments. It replaces the covariances of the
+        Standard deviation of the ends across the segments, instead of the covariances of the
         segments.
     depth_range_mm : (float, float), optional
-        Smallest and largest depth before every camera that shows a line. Default: any positive
+        Smallest and largest depth in front of every camera that shows a line. Default: any positive
         depth.
     verify : "full", "quick" or "off"
         Test whether the segments of three views belong to the rig. "quick" compares doubtful sets
         with chance, in a fraction of the matching time. "full" also searches for the mistake in a
-        SUSPECT or very doubtful set. It then matches the longest segments up to 30 times. "off"
-        tests nothing.
+        SUSPECT or very doubtful set, with up to 30 matchings of the longest segments. "off" tests
+        nothing.
     tuning : MatchTuning
         All tuned constants of the method.
 
@@ -153,8 +153,8 @@ def check_before_cameras(
 ) -> None:
     """Raise `InputError` if the rig is mirrored, that is, if the scene lies behind its cameras.
 
-    A rig is mirrored if its cameras diverge, few lines lie in front of the cameras, and more lines
-    lie behind them.
+    A rig is mirrored under three conditions. Its cameras diverge, few lines lie in front of the
+    cameras, and more lines lie behind the cameras.
     """
     few_lines = tuning.tracks.mirror_test_share * min(len(ends) for ends in frame.ends_px)
     if len(matches) < few_lines and views_diverge({name: rig[name] for name in segments}):

@@ -44,7 +44,7 @@ class StepResult(NamedTuple):
 
 
 class StepInput(NamedTuple):
-    """Inputs of all steps, with the meaning of the arguments of `improve`."""
+    """Inputs of all steps: the arguments of `improve` with these names. `images` is `pictures`."""
 
     rig: Rig
     images: Mapping[str, Shaped[np.ndarray, "..."]]

@@ -205,8 +205,8 @@ def _kinds(
 ) -> np.ndarray:
     """Return the kind of each junction: "L", "Y", "X" or "T".
 
-    It depends on the numbers of ends and of middle parts, and on whether two ends are collinear.
-    `inward` is the direction from the junction into each segment.
+    The kind depends on the numbers of ends and of middle parts, and on whether two ends are
+    collinear. `inward` is the direction from the junction into each segment.
     """
     ends = np.bincount(junction[end != BODY], minlength=count)
     bodies = np.bincount(junction[end == BODY], minlength=count)

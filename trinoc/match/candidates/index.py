@@ -272,7 +272,7 @@ def _cells_near_segments(
 
 
 def layers_of_grid(grid: Grid) -> tuple[IndexLayer, ...]:
-    """Return the layers that `grid` was built with. The number of its layers identifies them."""
+    """Return the layers that `grid` was built with, identified by their number."""
     return LAYERS if np.shape(grid.cell_px)[-1] == len(LAYERS) else CROWDED_LAYERS
 
 
@@ -386,10 +386,10 @@ def index_segments(
 def keys_of_prediction(
     grid: Grid, prediction: Prediction, tuning: CandidateTuning = DEFAULT.candidates
 ) -> list[Int[ArrayLike, ""]]:
-    """Return the keys to search for each sample point of a predicted segment.
+    """Return the key to search at each sample point of a predicted segment.
 
-    Samples without a search of their own have the key without segments: a repeated key, or a short
-    or impossible prediction.
+    Samples that need no search get the key without segments: repeated keys, and samples of short or
+    impossible predictions.
     """
     du, dv = prediction.u1 - prediction.u0, prediction.v1 - prediction.v0
     length = jnp.sqrt(du * du + dv * dv)

@@ -70,8 +70,9 @@ def bound_region(ends_mm: Float[np.ndarray, "m 2 3"], tuning: ScoutTuning) -> Re
 class RegionOfPencil(NamedTuple):
     """Box in space, in the frame of a pencil of epipolar planes.
 
-    A point at distance `radius` from the baseline has the coordinates ray = (slope, cos, sin), in
-    units of `radius`. It lies in the box if low / radius < axes @ ray < high / radius.
+    In this frame, a point is radius * ray with ray = (slope, cos(phi), sin(phi)). `radius` is its
+    distance from the baseline, phi the angle of its epipolar plane. The point is in the box if low
+    / radius < axes @ ray < high / radius.
     """
 
     axes: Float[ArrayLike, "3 3"]
@@ -139,12 +140,12 @@ class SearchPrior(NamedTuple):
     region : Region or None
         Box that contains the lines; None for all space.
     mixture : MixtureParameters
-        Mixture parameters that the log odds of candidates are computed with.
+        Parameters for the log odds of candidates.
     least_log_odds : float
         Candidates with smaller log odds are discarded.
     ends_px : float or None
-        Largest distance between corresponding ends of a pair, at one of its two ends. None for no
-        limit.
+        Limit for the distance between corresponding ends of the two segments of a pair, along the
+        segment. At least one of the two distances must be below the limit. None for no limit.
     """
 
     region: Region | None
@@ -162,8 +163,8 @@ def likely_triples(
 ) -> Int[np.ndarray, "_ 3"]:
     """Return the triples of one frame whose approximate log odds exceed `prior.least_log_odds`.
 
-    The approximation uses the line of the first two segments instead of the fit to all three. It
-    assumes that the polarities are equal. If side levels are known, all triples are returned.
+    The approximation uses the line of the first two segments instead of the fit to all three, and
+    assumes equal polarities. If side levels are known, all triples are returned.
     """
     if np.isfinite(np.asarray(screen[0].sides)).any():
         return triple
@@ -198,7 +199,7 @@ def _log_odds(
     end_tuning: EndTuning,
     evidence_tuning: EvidenceTuning,
 ) -> Float[ArrayLike, "h"]:
-    """Approximate log odds of each triple, without the term that is equal for all triples.
+    """Approximate log odds of each triple, one line against clutter, without constant terms.
 
     The result is -inf if the three segments cannot be images of one line. `log_shares` are the logs
     of the mixture weights of the error's tail (k,) and of the end components (c,).

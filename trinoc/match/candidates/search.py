@@ -39,11 +39,11 @@ def passes_third_view_gate(
     across_px2: Float[ArrayLike, "2 2"],
     tuning: CandidateTuning = DEFAULT.candidates,
 ) -> Bool[ArrayLike, ""]:
-    """True if a segment overlaps the predicted segment and passes the chi-square gate of the
-    prediction.
+    """True if a segment overlaps the predicted segment and agrees with its position and direction.
 
-    The chi-square is that of the distances of the two lines at both ends of their overlap. `line`
-    is the segment's line, `across_px2` the covariance of its ends across it.
+    The chi-square of the distances between the two lines, at both ends of their overlap, must be
+    below a limit. `line` are the coefficients of the segment's line. `across_px2` is the covariance
+    of the segment's ends across the segment.
     """
     p = prediction
     du, dv = p.u1 - p.u0, p.v1 - p.v0
@@ -177,11 +177,12 @@ def gate_triples(
     tuning: CandidateTuning,
     any_order: bool = False,
 ) -> Int[np.ndarray, "h 3"]:
-    """Return the triples (h, 3) of the pairs (i, j) with each third segment that passes the gate.
+    """Return the triples (h, 3) of each pair (i, j) and every third segment that its prediction
+    admits.
 
-    The columns of the result are the first, second and third view of `inputs`. A pair normally
-    predicts only if its interpretation planes cross at nearly the widest angle of the three. With
-    `any_order`, other precise pairs predict too.
+    The columns of the result are segments of the first, second and third view of `inputs`. A pair
+    predicts only if its interpretation planes cross at nearly the widest angle of the three planes.
+    With `any_order`, other precise pairs predict too.
     """
     size = block_size(lines, PAIRS_IN_BLOCK)
     triples = [np.zeros((0, 3), dtype=np.int32)]

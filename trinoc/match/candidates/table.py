@@ -108,7 +108,7 @@ def build_candidates(
 def no_candidates(views: int, is_stack: bool = False) -> Candidates:
     """Return an empty table of candidates for the given number of views.
 
-    `is_stack` states whether it belongs to a stack of frames.
+    With `is_stack`, the table has the column `frame`, as for a stack of frames.
     """
     return Candidates(
         np.zeros((0, views), dtype=np.int64),

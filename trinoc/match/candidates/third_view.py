@@ -60,7 +60,7 @@ class Prediction(NamedTuple):
 class ThirdView(NamedTuple):
     """Projection from the frame of a pencil into a third view.
 
-    In a stack, all attributes have a leading axis of frames.
+    In a stack of frames, all attributes have a leading axis of frames.
 
     Attributes
     ----------
@@ -234,6 +234,6 @@ def rounding_px(
 ) -> Float[ArrayLike, "*f"]:
     """Return the error of pixel coordinates in a view due to floating-point rounding, px.
 
-    In a stack, the result has one value for each frame.
+    In a stack of frames, the result has one value for each frame.
     """
     return ROUNDING * abs(matrix_px[..., view, :2, :3]).sum(axis=(-2, -1))

@@ -45,12 +45,11 @@ def end_search_radius_px(
     scouting: ScoutTuning,
     tuning: EndTuning = DEFAULT.ends,
 ) -> float | None:
-    """Return the largest distance, px, at which two segment ends are searched as corresponding
+    """Return the largest distance, px, between two segment ends that are tested as corresponding
     ends.
 
-    The radius follows from the estimated weights `shares` of the mixture components of
-    `end_evidence`. It is None if it exceeds a share of the typical segment length, because the
-    search would then exclude few pairs.
+    The distance follows from the estimated weights `shares` of the components of `end_evidence`.
+    The result is None if it would be large relative to the typical segment length.
     """
     scales = np.array([*tuning.agreement_px, *tuning.pair_px, *tuning.pair_px])
     sorted_scales = np.sort(tuning.agreement_px)

@@ -36,8 +36,7 @@ class Volume(NamedTuple):
 
 
 class MixtureParameters(NamedTuple):
-    """Weights of the mixtures in the evidence, and density of the lines. EM estimates them by
-    frame.
+    """Weights of the mixtures in the evidence, and density of the lines, estimated by EM.
 
     In a stack of frames, all attributes have a leading axis of frames.
 
@@ -122,8 +121,8 @@ def log_odds(
 ) -> Float[np.ndarray, "m"]:
     """Return the log odds of each candidate, one line against clutter, (m,).
 
-    They include the evidence of position, ends and side levels, and the prior, but not rivals and
-    junctions.
+    The result includes the prior and the evidence of position, ends and side levels. Rivals and
+    junctions are not included.
     """
     tail = np.log(np.exp(_tail_terms(chi_square, mixture.tail, tuning, frame)).sum(axis=1))
     ends = _log_mixture(end_log, broadcast_groups(mixture.ends, frame)).sum(axis=1)

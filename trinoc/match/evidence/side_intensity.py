@@ -53,8 +53,8 @@ def side_evidence(
     """Return the evidence of the grey levels beside the segments of each candidate, (m, s).
 
     For each of the components SIDE_COMPONENTS, the value is the log of a density ratio: component
-    over clutter. It is 0 if fewer than two segments have levels and fewer than two other segments
-    have a contrast. `sides` is the result of `side_table`.
+    over clutter. The value is 0 without two segments with levels and without two other segments
+    with a contrast. `sides` is the result of `side_table`.
     """
     by_levels = _level_evidence(sides[..., :5], index, interval, tuning)
     return by_levels + _contrast_evidence(sides[..., 5:], index, tuning)
@@ -65,7 +65,7 @@ def _contrast_evidence(
 ) -> Float[np.ndarray, "m s"]:
     """Return the evidence of the contrast, for segments whose levels are unknown, (m, s).
 
-    It is 0 for components in which a side differs between the views.
+    The evidence is 0 for components in which a side differs between the views.
     """
     evidence = np.zeros((len(index), len(SIDE_COMPONENTS)))
     if np.isnan(contrasts[..., 0]).all():

@@ -72,11 +72,11 @@ class TripleEvidence(NamedTuple):
     chi_square : ()
         Chi-square of the two residuals of position and direction.
     log_density : ()
-        Log density of the positions over that of clutter. It excludes the density of lines in
-        space, the heavy tail and the ends.
+        Log density of the positions over that of clutter. The density of lines in space, the heavy
+        tail and the ends are not included.
     extent_px : (3, 2)
-        Begin and end of each segment along the line, in mean pixels of the three views, from the
-        begin of the common part.
+        Interval of each segment along the line, measured from the first end of the common part. The
+        unit is the mean pixel of the three views.
     interval : (3, 2)
         Common part on each segment: positions from 0 at its first end to 1 at its second.
     union_ends_mm : two of (3,)
@@ -212,10 +212,10 @@ def _intervals_on_line(
 def _misfit(
     segments: SegmentPlanes, planes: InterpretationPlanes, direction: Vector3
 ) -> tuple[Scalar, Scalar]:
-    """Return the chi-square of the residuals r at the first two points, and det of their
+    """Return the chi-square of the residuals of three views, and the determinant of their
     covariance.
 
-    The module docstring defines the residual r of three views.
+    The module docstring defines the residual r. It is evaluated at the first two points.
     """
     normals = [nth3(planes.normal, k) for k in range(3)]
     crossings = [cross3(normals[(k + 1) % 3], normals[(k + 2) % 3]) for k in range(3)]
@@ -229,10 +229,10 @@ def _misfit(
 
 
 def log_lengths(lengths_px: Float[ArrayLike, "v *h"], typical_px: Scalar) -> Float[ArrayLike, "*h"]:
-    """Log density of the segments' lengths, with one line over that of clutter, (h,).
+    """Log likelihood ratio of the segments' lengths, one line against clutter, (h,).
 
-    The density of one line assumes a line as long as the longest segment, with the ends of the
-    other segments uniform on it. `typical_px` is the typical length of clutter.
+    One line is assumed to be as long as the longest segment, with the ends of the other segments
+    uniform on it. `typical_px` is the typical length of clutter.
     """
     xp, longest = array_namespace(lengths_px), largest(lengths_px)[None]
 

@@ -74,7 +74,7 @@ class _Problem(NamedTuple):
 
 @in_float64
 def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT) -> JoinedLines:
-    """Join collinear tracks to straight lines. All segments of its tracks determine each line.
+    """Join collinear tracks to straight lines, each estimated from all segments of its tracks.
 
     Parameters
     ----------
@@ -99,8 +99,8 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
     -----
     Two tracks are joined under two conditions. The probability that they are one line is at least
     0.9. The probability that both tracks are right is at least 0.7. The first probability compares
-    their difference in space with the density of parallel and other lines. It also includes the gap
-    between them in pixels.
+    the difference of the tracks in space with the density of parallel and other lines. The gap
+    between the tracks, in pixels, is included.
 
     The joined line must fit all segments at a significance of 0.001. A segment of several tracks is
     used once. If most tracks have residuals larger than the stated errors, all covariances are
@@ -148,7 +148,7 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
 def _agglomerate(
     groups: list[_Group], pairs: Int[np.ndarray, "p 2"], problem: _Problem
 ) -> list[_Group]:
-    """Join the most probable pair of groups, again and again, until no pair is probable enough.
+    """Join the two most probable groups repeatedly, until no pair of groups is probable enough.
 
     `pairs` (p, 2) are the pairs of groups that are nearly collinear.
     """
@@ -199,8 +199,8 @@ def _smallest_gaps(
 ) -> Float[np.ndarray, "p"]:
     """Return the gap between the two groups of each pair, (p,) mm.
 
-    It is the smallest gap along the line between a track of the first group and a track of the
-    second.
+    The gap is the smallest distance along the line between a track of the first group and a track
+    of the second.
     """
     rows, first_pieces, second_pieces = [], [], []
     for row, (first_group, second_group) in enumerate(

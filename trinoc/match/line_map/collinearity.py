@@ -25,7 +25,7 @@ class LineDensity(NamedTuple):
     Attributes
     ----------
     density : float
-        Number of lines per mm^2 of a plane that they cross, and per steradian of direction.
+        Number of lines that cross a plane, per mm^2 of the plane and per steradian of direction.
     size : float
         Largest extent of the lines, mm.
     volume : float
@@ -38,7 +38,7 @@ class LineDensity(NamedTuple):
 
 
 class Difference(NamedTuple):
-    """Difference d between two lines: two lateral offsets at each of two positions along them.
+    """Difference d between two lines: two lateral offsets at each of two positions along the lines.
 
     S is the covariance of d.
 
@@ -49,7 +49,7 @@ class Difference(NamedTuple):
     log_density : (p,)
         Log density of d under the hypothesis of one line, with a heavy tail, 1/mm^4.
     log_shift_density : (p,)
-        The same for the lateral shift alone, 1/mm^2.
+        Log density of the lateral shift alone under this hypothesis, with a heavy tail, 1/mm^2.
     shift, shift_sigma : (p,)
         Size of the lateral shift, and its largest standard deviation over all directions, mm.
     span : (p,)
@@ -299,10 +299,10 @@ def parallel_density(
     scene: LineDensity,
     tuning: CollinearTuning = DEFAULT.collinear,
 ) -> Float[np.ndarray, "t"]:
-    """Return the number of lines parallel to each line, per mm^2 across it, (t,).
+    """Return the number of lines parallel to each line, per mm^2 across the line, (t,).
 
-    It is the local density from the nearest parallel line, or the median of all lines if that is
-    larger.
+    The result is the local density from the nearest parallel line, or the median of all lines if
+    that is larger.
     """
     nearest_parallel = nearby.nearest_parallel_mm.copy()
     is_other = difference.square > tuning.gate_sigmas**2
@@ -317,7 +317,7 @@ def _across_variance(
 ) -> Float[np.ndarray, "t"]:
     """Return the variance of the less precise end across each line, (t,) mm^2.
 
-    It is the sum over both directions across the line.
+    The variances in both directions across the line are added.
     """
     blocks_of_ends = np.stack([covariance_mm2[:, :3, :3], covariance_mm2[:, 3:, 3:]], axis=1)
     variance_along = np.einsum("ti,teij,tj->te", direction, blocks_of_ends, direction)

@@ -173,8 +173,8 @@ def _meeting_log_odds(
     m, n : (p,)
         Rows of the two ends in `Ends`.
     log_passing : (p,)
-        Log density ratio of the distance at which the two lines pass each other, meeting over
-        chance.
+        Log density of the distance between the two lines if they meet, over that of unrelated
+        lines.
     gap_density : (p, k)
         Density of the gaps between ends and meeting point, for each gap scale.
     count : int

@@ -191,8 +191,8 @@ def _likely_factors(
 ) -> Int[np.ndarray, "k n"]:
     """Return the combinations of error scales to evaluate, (k, n) indices of `scales`.
 
-    Lines with few segments use all combinations. Other lines use the most probable combination and
-    those that differ from it for one or two segments.
+    For few segments these are all combinations. For many segments these are the most probable
+    combination, and those that differ from it for one or two segments.
     """
     count, kinds = equations.square.shape[1], len(scales)
     if count <= ALL_FACTORS_TO:

@@ -15,9 +15,9 @@ class JoinedLines(Value):
         Posterior mean of the ends, world frame, given all segments of the tracks. The line extends
         from the first to the last point that a track shows.
     covariance_mm2 : (e, 6, 6)
-        Covariance of both ends. Along the line it is that of the track that ends there. It allows
-        for segments with larger errors than stated, mainly if views disagree or only two views show
-        the line.
+        Covariance of both ends. Along the line, the variance of an end is that of the track that
+        ends there. The covariance allows for segments with larger errors than stated, mainly if
+        views disagree or only two views show the line.
     chi_square, degrees : (e,)
         Misfit of all segments and its degrees of freedom; 0 for a single track.
     line_of_track : (t,)

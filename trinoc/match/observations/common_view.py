@@ -23,7 +23,10 @@ RAYS = 9
 
 
 def check_not_mirrored(cameras: Mapping[str, Camera]) -> None:
-    """Raise `InputError` if a camera is mirrored: by its rotation, or because it looks away."""
+    """Raise `InputError` if a camera is mirrored.
+
+    Its rotation has determinant -1, or the scene of the other cameras lies behind the camera.
+    """
     for name, camera in cameras.items():
         if np.linalg.det(np.asarray(camera.cam_from_world)[:, :3]) < 0:
             raise InputError(sentences.camera_mirrored(name, sentences.NEGATIVE_DETERMINANT))

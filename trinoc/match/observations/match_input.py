@@ -388,9 +388,9 @@ def _as_segments(segments: Segments | ArrayLike, sigma_px: float | None) -> Segm
 def with_noise_scale(inputs: MatchInput, scale: Float[np.ndarray, "f"]) -> MatchInput:
     """Return the input with the errors across the segments multiplied by the `scale` of each frame.
 
-    The errors along a segment stay, because they depend on the detector's stops and not on noise. A
-    scale below 1 does not reduce the error that is common to both ends (`common_error_variance`),
-    because residuals do not show that error.
+    The errors along a segment stay, because they depend on where the detector ends the segment, not
+    on noise. A scale below 1 does not reduce the error that is common to both ends
+    (`common_error_variance`), because residuals do not show that error.
     """
     if (scale == 1.0).all():
         return inputs

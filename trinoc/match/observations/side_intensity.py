@@ -97,8 +97,9 @@ def _are_known(levels: Float[np.ndarray, "n 2"]) -> np.ndarray:
 def _level_density_in_image(
     levels: Float[np.ndarray, "n 2"], tuning: SideTuning
 ) -> Float[np.ndarray, "n 3"]:
-    """Density of the right level, of the left level and of both, among all segments of an image,
-    (n, 3).
+    """Probability density of each segment's levels among all segments of an image, (n, 3).
+
+    The columns are the densities of the right level, of the left level, and of both together.
     """
     if len(levels) == 0:
         return np.zeros((0, 3))
@@ -126,7 +127,10 @@ def _smooth(counts: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
 def _level_density_nearby(
     levels: Float[np.ndarray, "n 2"], middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning
 ) -> Float[np.ndarray, "n 3"]:
-    """Density of the right level, of the left level and of both, among nearby segments, (n, 3)."""
+    """Probability density of each segment's levels among nearby segments, (n, 3).
+
+    The columns are the densities of the right level, of the left level, and of both together.
+    """
     nearest = _nearest(middles_px, tuning)
     if nearest.shape[1] == 0:
         return np.zeros((len(levels), 3))
@@ -141,7 +145,7 @@ def _level_density_nearby(
 
 
 def _contrast_density_in_image(contrast: Float[np.ndarray, "n"], tuning: SideTuning) -> np.ndarray:
-    """Density of each segment's contrast among all segments of an image, (n,)."""
+    """Probability density of each segment's contrast among all segments of an image, (n,)."""
     if len(contrast) == 0:
         return np.zeros(0)
     width, any_level = tuning.bin_width, tuning.any_level_share
@@ -155,7 +159,7 @@ def _contrast_density_in_image(contrast: Float[np.ndarray, "n"], tuning: SideTun
 def _contrast_density_nearby(
     contrast: Float[np.ndarray, "n"], middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning
 ) -> np.ndarray:
-    """Density of each segment's contrast among nearby segments, (n,)."""
+    """Probability density of each segment's contrast among nearby segments, (n,)."""
     nearest = _nearest(middles_px, tuning)
     # The difference of two levels has twice the variance of one.
     width = np.sqrt(2) * tuning.agreement_scales[0]

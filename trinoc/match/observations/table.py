@@ -29,9 +29,9 @@ PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK = BlockSize(16, 1 << 16), BlockSize(4, 1 << 11)
 class SegmentTable(NamedTuple):
     """Segments and cameras of all views as padded arrays; rows beyond a view's count are padding.
 
-    The table belongs to one frame, or to a stack of frames. In a stack, a view contains the
-    segments of all frames, frame after frame. The first four attributes then have a leading axis of
-    frames.
+    The table belongs to one frame, or to a stack: several frames that are matched as one problem.
+    In a stack, a view contains the segments of all frames, frame after frame. The first four
+    attributes then have a leading axis of frames.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class SegmentTable(NamedTuple):
     length_px : (v, n)
         Distance between the ends.
     polarity : (v, n)
-        Darker side: +1, -1, or 0 if unknown.
+        Darker side: +1 if on the right, -1 if on the left, 0 if unknown.
     rays : (v, n, 2, 3)
         Viewing rays of both ends, world frame, not normalised.
     sides : (v, n, 7)

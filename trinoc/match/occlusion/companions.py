@@ -124,7 +124,10 @@ def _find_continuations(
 
 
 class Companions(NamedTuple):
-    """Companions of candidate pairs: candidates that are neighbours in all of their common views.
+    """Companions of candidate pairs of segments.
+
+    A companion is another candidate whose segments are neighbours of the pair's segments in all
+    common views, such as the other side of a bar.
 
     Attributes
     ----------

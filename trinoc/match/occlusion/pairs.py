@@ -176,7 +176,8 @@ def _initial_rates(
 ) -> Rates:
     """Return the initial mixture and junction parameters for the pairs of each frame.
 
-    They are those of the triples, or those of the prior in frames with few triples.
+    The parameters were estimated from triples. In frames with few triples, those of the prior are
+    used.
     """
     prior_rates = (
         prior_parameters(pairs.ends_mm, mean_counts, tuning, pairs.frame),

@@ -323,7 +323,7 @@ def match_pairs_alone(
         count,
     )
     body_fields = junctions.end_at_junction, see_through.reshape(np.shape(mixture.log_count))
-    bodies = Bodies(*(broadcast_groups(each, frame) for each in body_fields))
+    bodies = Bodies(*(broadcast_groups(field, frame) for field in body_fields))
     pair_arguments = posterior_log_odds, candidates.side_log, candidates.crossing_sine, bodies
     tempered = temper_pairs(*pair_arguments, tuning)
     limited_posterior = rules.max_posterior_alone * probability(tempered)

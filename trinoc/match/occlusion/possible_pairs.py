@@ -81,7 +81,7 @@ def possible_pairs(
     views : (2,)
         Indices of the two views.
     free : list of arrays
-        Indices of the free segments of each view.
+        Indices of the segments of each view that may be used.
     clutter : ClutterModel
         Clutter model of all views.
     tuning : MatchTuning
@@ -89,7 +89,8 @@ def possible_pairs(
     bound : PairBound, optional
         Bound that rejects unlikely pairs.
     ends_px : float, optional
-        Largest distance between corresponding ends, at one of the two ends of a pair.
+        Limit for the distance between corresponding ends of a pair. At least one of the two
+        distances must be below the limit.
     """
     planes = build_pencil(lines, *views.tolist())
     rows = free[views[0]], free[views[1]]
@@ -270,7 +271,7 @@ def log_odds_among_lines(
 ) -> Float[np.ndarray, "m"]:
     """Return the log odds of pairs in a scene with matched lines, (m,).
 
-    They exclude rivals, junctions, and the prior share of pairs among all lines.
+    Rivals, junctions, and the prior share of pairs among all lines are not included.
     """
     rules, frame = tuning.occlusion, candidates.frame
     member_evidence = log_ends(

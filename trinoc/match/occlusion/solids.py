@@ -36,9 +36,9 @@ def see_through_share(
 ) -> Float[np.ndarray, "f"]:
     """Return how see-through the bodies of each frame are, (f,): 0 for solid, 1 for see-through.
 
-    It is the number of crossings of matched segments over the number by chance. Each segment has
-    the posterior of its most likely candidate as weight, because clutter crosses everything. Bodies
-    with few expected crossings are assumed solid.
+    The share is the number of crossings between matched segments over the number by chance. Each
+    segment has the posterior of its most likely candidate as weight, because clutter often crosses
+    other segments. Bodies with few expected crossings are assumed solid.
     """
     share = np.zeros(frames)
     frame_label = np.zeros(len(index), np.int64) if frame is None else frame
@@ -138,7 +138,8 @@ def temper_tracks(
 ) -> Tracks:
     """Return the tracks with tempered log odds: those of the tracks and those of their rivals.
 
-    The log odds of edges of solid bodies are multiplied by a factor below 1.
+    Tempering multiplies log odds by a factor below 1. It is applied to edges of solid bodies,
+    because the evidence for such edges is correlated.
     """
     candidates, rules = tracks.candidates, tuning.occlusion
     # Edges of see-through bodies meet at corners too, but are hidden less often.

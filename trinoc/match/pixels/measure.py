@@ -48,7 +48,7 @@ def measure_lines(
         The cameras of the matches.
     pictures : mapping
         Image of each view, as for `find_segments`.
-    response : str or array
+    response : str, float or AbstractResponse
         Response of the cameras to light, as for `find_segments`.
     tuning : PixelTuning
         All tuned constants.
@@ -251,9 +251,10 @@ def hausman(
 ) -> Float[np.ndarray, "t"]:
     """Hausman statistic of the difference between a robust and an efficient estimate, (t,).
 
-    It has a chi-square distribution with k degrees of freedom if both estimates are right. `robust`
-    and `efficient` are the covariances of the two estimates. The covariance of the difference is
-    robust - efficient, in every direction at least `smallest_share` of `efficient`.
+    If both estimates are right, the statistic has a chi-square distribution with k degrees of
+    freedom. `robust` and `efficient` are the covariances of the two estimates. The covariance of
+    the difference is robust - efficient, in every direction at least `smallest_share` of
+    `efficient`.
     """
     root = np.linalg.cholesky(efficient)
     inverse = np.linalg.inv(root)

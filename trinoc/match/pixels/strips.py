@@ -28,8 +28,7 @@ NO_SEGMENT = -1
 
 
 class Strips(NamedTuple):
-    """Blocks of pixels across the images of lines. A block has r rows along the edge and c columns
-    across.
+    """Blocks of pixels across the images of lines: r rows along the edge and c columns across it.
 
     The blocks of a line follow each other.
 

@@ -279,8 +279,8 @@ class CircleFit(NamedTuple):
     circle : Circles
         The circle; its arrays have one row.
     covariance : (6, 6)
-        Covariance of the parameters of `move_circle`. It is scaled if the residuals are larger than
-        the stated errors. NaN if the chords do not determine the circle.
+        Covariance of the parameters of `move_circle`, scaled if the residuals are larger than the
+        stated errors. NaN if the chords do not determine the circle.
     """
 
     circle: Circles

@@ -203,7 +203,7 @@ class MatchesWithRims(Value):
         The tracks that no rim explains, in their sequence, followed by pieces of rims. Tracks with
         an outline of the body below a rim have the mark "silhouette".
     kept : (k,)
-        Indices that the first k tracks had before.
+        Indices that the first k tracks of `matches` had before the rims were added.
     """
 
     segments: dict[str, Segments]

@@ -169,8 +169,8 @@ def fragments_of_pieces(
 def _bows(chords: Chords, circles: Circles, row: Int[np.ndarray, "p"]) -> Float[np.ndarray, "p"]:
     """Return the distance between each chord and its arc, (p,) px.
 
-    It is measured midway between the two points where chord and arc intersect. The arc belongs to
-    the circle nearest to the chord. `row` are rows of `chords`.
+    The distance is measured midway between the two points where chord and arc intersect. The arc
+    belongs to the circle nearest to the chord. `row` are rows of `chords`.
     """
     if len(row) == 0:
         return np.zeros(0)

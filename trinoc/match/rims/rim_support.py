@@ -29,8 +29,8 @@ def support_matrix(
 ) -> csr_array:
     """Return the weighted length of each chord on each circle, px, as a sparse matrix (h, s).
 
-    It is 0 for chords that do not lie on the circle. Circles are processed in blocks to limit the
-    memory.
+    Chords that do not lie on the circle have the value 0. Circles are processed in blocks to limit
+    the memory.
     """
     shape = len(circles.radius_mm), len(chords.view)
     entries = [(np.zeros(0), (np.zeros(0, np.int64), np.zeros(0, np.int64)))]
@@ -137,7 +137,8 @@ def _circles_with_equal_image(
 ) -> Circles:
     """Return circles with the same image as `circle` for a camera at `eye_mm`.
 
-    Their images in the other camera are one step apart.
+    In the image of the other camera, consecutive circles are displaced by about twice the tolerance
+    `touch_px`.
     """
     from_eye = circle.centre_mm[0] - eye_mm
     image = other_px @ np.append(circle.centre_mm[0], 1.0)

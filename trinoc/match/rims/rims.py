@@ -48,11 +48,11 @@ class Rims(Feature):
         Index of the rim, index of the view, and index of the segment in that view.
     matches : Matches
         The tracks that no rim explains, followed by pieces of the rims. Each piece is a chord of
-        its circle in space. Its fragments are parts of the segments. Their covariance includes the
-        distance between chord and arc. Tracks with an outline of the body below a rim have the mark
-        "silhouette".
+        its circle in space. The fragments of a piece are parts of segments. The covariance of these
+        fragments includes the distance between chord and arc. Tracks with an outline of the body
+        below a rim have the mark "silhouette".
     kept : (k,)
-        Indices that the first k tracks had before.
+        Indices that the first k tracks of `matches` had before the rims were added.
     counts : dict of int
         Numbers of circles and tracks that each step produced and rejected, by name.
     """

@@ -36,7 +36,7 @@ class EndpointPairs(NamedTuple):
         The two ends.
     log_ratio : (e, k)
         Log density of the positions of both ends at a junction over that by chance, for each gap
-        scale. It excludes the density of lines in space.
+        scale. The density of lines in space is not included.
     """
 
     end: Int[np.ndarray, "e"]
@@ -128,8 +128,8 @@ def _pairs_of_near_ends(
 ) -> Int[np.ndarray, "p 2"]:
     """Return the pairs of line ends within `radius_mm`, at most `limit` pairs.
 
-    If there are more pairs, the less likely half of the candidates is removed, if necessary again.
-    Pairs are counted before they are listed, to limit the memory.
+    While there are more pairs, the less likely half of the candidates is removed. Pairs are counted
+    before they are listed, to limit the memory.
     """
     rows = np.argsort(-log_odds, kind="stable")
     while True:

@@ -93,7 +93,7 @@ def rows_within_memory(
 ) -> Int[np.ndarray, "k"]:
     """Return the indices of the candidates whose log odds exceed `above`, (k,).
 
-    If they have more conflicts than the memory allows, only the most likely candidates are
+    If these candidates have more conflicts than the memory allows, only the most likely ones are
     returned.
     """
     selected_rows = np.flatnonzero(log_odds > above)

@@ -93,7 +93,7 @@ def limit_log_odds(
 def greatest_log_odds(candidates: Candidates, repetition: Repetition) -> Float[np.ndarray, "m"]:
     """Return the upper limit of each candidate's log odds: that of the nearest position, (m,).
 
-    It is inf in frames without positions.
+    The limit is inf in frames without positions.
     """
     limit = np.full(len(candidates.index), np.inf)
     frame = label_frames(candidates.frame, len(limit))
@@ -106,4 +106,4 @@ def greatest_log_odds(candidates: Candidates, repetition: Repetition) -> Float[n
 
 
 def _rows_per_frame(frame: Int[np.ndarray, "t"]) -> Iterator[Int[np.ndarray, "_"]]:
-    return (np.flatnonzero(frame == each) for each in np.unique(frame))
+    return (np.flatnonzero(frame == label) for label in np.unique(frame))

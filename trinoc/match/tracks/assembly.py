@@ -74,13 +74,13 @@ def assemble(
 ) -> list[Matches]:
     """Build the matches of each frame, with views and segments numbered as in the caller's input.
 
-    Tracks along the epipolar lines of all their pairs of views have no depth. They are excluded,
-    and the reason of their segments is "along the epipolar lines".
+    Tracks along the epipolar lines of all their pairs of views have no depth. These tracks are
+    excluded, and the reason of their segments is "along the epipolar lines".
 
     Parameters
     ----------
     inputs : MatchInput
-        Input of the matcher. Its covariances include `noise_scale`.
+        Input of the matcher, with covariances that include `noise_scale`.
     tracks : Tracks
         Tracks in three or more views.
     selections : list of Selection
@@ -193,11 +193,11 @@ def _build_lines(
 
 
 def direction_doubt(lines: SegmentTable, index: Int[np.ndarray, "t v"]) -> Float[np.ndarray, "t"]:
-    """Return the direction error of each track's segments, relative to their epipolar angle, (t,).
+    """Return the direction error of each track's segments over their epipolar angle, (t,).
 
-    For a segment, it is the standard deviation of the direction over the angle to the epipolar
-    line. For a pair of views it is the larger value of the two segments. For a track it is the
-    smallest value of all its pairs.
+    For a segment, the ratio is the standard deviation of its direction over its angle to the
+    epipolar line. For a pair of views, it is the larger ratio of the two segments. For a track, it
+    is the smallest ratio of all pairs of views.
     """
     smallest, frame = np.full(len(index), np.inf), look_up_frames(lines, index)
     for a, b in combinations(range(index.shape[1]), 2):
@@ -335,10 +335,10 @@ def typical_misfit(
     tuning: TrackTuning = DEFAULT.tracks,
     frame: Int[np.ndarray, "t"] | None = None,
 ) -> Float[np.ndarray, "*f"] | float:
-    """Return the factor of the actual variance of most segments over the stated one, at least 1.
+    """Return the actual variance of most segments over their stated variance, at least 1.
 
-    It is the median misfit over its expected value. With `frame`, the frame of each track, the
-    result has one factor for each frame, (f,).
+    The estimate is the median misfit over its expected value. With `frame`, the frame of each
+    track, the result has one factor for each frame, (f,).
     """
     views = (index >= 0).sum(axis=1)
     in_three = views > 2

@@ -45,15 +45,12 @@ class _Proposal(NamedTuple):
         Chi-square of the segment under the prediction of the track.
     track, view, segment : int
         The track, and the segment to add.
-    owner : int
-        Track that already contains the segment, or NO_TRACK.
     """
 
     chi_square: float
     track: int
     view: int
     segment: int
-    owner: int
 
 
 def tracks_through_views(
@@ -186,7 +183,7 @@ def _propose_segments(
         hits = predict_segments(inputs.lines, view, count, ends_mm, covariance_mm2, gate, tuning)
         for track, segment, chi_square in zip(*(column.tolist() for column in hits), strict=True):
             row = int(lacking_view[track])
-            proposals[row].append(_Proposal(chi_square, row, view, segment, NO_TRACK))
+            proposals[row].append(_Proposal(chi_square, row, view, segment))
     return proposals
 
 
@@ -218,7 +215,7 @@ def _select_trials(
     in_use: set[tuple[int, int]] = set()
     trials = []
     # A proposal may refer to a joined track, or to a view that its track has by now.
-    for proposal in sorted(p for each in proposals.values() for p in each):
+    for proposal in sorted(p for of_track in proposals.values() for p in of_track):
         track, view, segment = proposal.track, proposal.view, proposal.segment
         if (
             (NO_TRACK, track) in in_use

@@ -321,7 +321,7 @@ def fit_lines(
     frames = () if frame is None else (frame,)
     fitted = in_blocks(triangulate, block, *observed, index >= 0, *frames)
     misfit = np.where((index >= 0).sum(axis=1) > 2, fitted.chi_square, 0.0)
-    ends_mm, covariance_mm2 = (np.array(each) for each in (fitted.ends_mm, fitted.covariance_mm2))
+    ends_mm, covariance_mm2 = (np.array(field) for field in (fitted.ends_mm, fitted.covariance_mm2))
     common_error = common_error_covariance(inputs, index)
     affected = np.flatnonzero((common_error != 0).any(axis=(1, 2, 3)))
     if len(affected):
@@ -407,8 +407,8 @@ def are_near(
 ) -> Bool[np.ndarray, "t"]:
     """Return the mask of the tracks with all segments near the line, (t,).
 
-    The limit is a number of pixels or of standard deviations, whichever is larger. It is needed
-    because a heavy-tailed error distribution alone would accept any segment.
+    The limit is a number of pixels or of standard deviations, whichever is larger. The limit is
+    needed because a heavy-tailed error distribution alone would accept any segment.
     """
     is_near = np.ones(len(tracks.index), dtype=bool)
     for view, rows, segment, matrix in _iterate_views(inputs, tracks.index):

@@ -263,7 +263,7 @@ class Matches(Displayable, Table):
 
     @property
     def status(self) -> MatchStatus:
-        """Overall result of the checks. If it is SUSPECT, the first note is the reason."""
+        """Overall result of the checks. With the status SUSPECT, the first note is the reason."""
         from trinoc.match.tracks.reliability import assess_matches
 
         return assess_matches(self).status

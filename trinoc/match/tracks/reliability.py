@@ -118,7 +118,7 @@ def scene_extent_mm(lines_mm: Float[np.ndarray, "t 2 3"]) -> float:
 def depth_range_remedy(matches: Matches) -> str | None:
     """Return the advice to check the depth range, or None.
 
-    It is given if the depth range excludes more segments than are matched.
+    The advice is returned if the depth range excludes more segments than are matched.
     """
     reasons = np.concatenate(
         [np.asarray(view_reasons, dtype=str) for view_reasons in matches.reasons.values()]
@@ -158,7 +158,7 @@ def _rig_findings(doubts: Mapping[str, str]) -> list[MatchFinding]:
 def _set_findings(matches: Matches) -> list[MatchFinding]:
     """Return the finding that segments and rig do not belong together, or an empty list.
 
-    Its explanation is the note of `check_set`, which contains the remedy if the cause is known.
+    The explanation is the note of `check_set`, which contains the remedy if the cause is known.
     """
     if not matches.counts.get(SUSPECT_SETS):
         return []

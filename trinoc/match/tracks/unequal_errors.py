@@ -91,7 +91,7 @@ def misfit_limit(
 ) -> Float[np.ndarray, "*t"]:
     """Return the value that a misfit exceeds with the given probability.
 
-    For tail 0 it is the chi-square limit.
+    For tail 0, this is the chi-square limit.
     """
     if tail < _SMALLEST_TAIL:
         return np.asarray(chi_square_limit(probability, degrees))
@@ -162,7 +162,8 @@ def scale_covariance_of_lines(
 ) -> Float[np.ndarray, "t 6 6"]:
     """Multiply the variances across each line by a factor, (t, 6, 6).
 
-    The variances along the line stay, because they depend on the detector's stops and not on noise.
+    The variances along the line stay, because they depend on where the detector ends a segment, not
+    on noise.
     """
     step = ends_mm[:, 1] - ends_mm[:, 0]
     unit = step / np.linalg.norm(step, axis=1, keepdims=True)

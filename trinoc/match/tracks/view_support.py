@@ -48,8 +48,8 @@ class HitRates(NamedTuple):
 def with_view_support(inputs: MatchInput, tracks: Tracks, tuning: MatchTuning) -> Tracks:
     """Update the posteriors of tracks by the views beyond three.
 
-    A view with a segment on the line, or without one, is further evidence. It is used only with
-    more than three views.
+    Every further view is evidence: it has a segment on the line or none. With three views or fewer,
+    the posteriors stay.
     """
     index, rules = tracks.candidates.index, tuning.view_support
     if index.shape[1] <= 3 or len(index) < rules.min_tracks:
@@ -184,7 +184,7 @@ def expected_rates(
 ) -> Float[np.ndarray, "t v"]:
     """Return the probability that each view has a segment on a right line, (t, v).
 
-    It is the largest share of `rates.true_lines` over the other views of the track.
+    The probability is the largest one of `rates.true_lines` over the other views of the track.
     """
     rate_by_view = np.where((index >= 0)[:, None, :], rates.true_lines[None], 0.0)
     views = np.arange(index.shape[1])
@@ -203,9 +203,9 @@ def member_posteriors(
     """Return the probability that each segment belongs to the line of the track's other segments,
     (t, v).
 
-    It is computed for tracks in four or more views, and NaN elsewhere. The alternative is a segment
-    that is there by chance, while the segment of the line is missing. The evidence is the increase
-    of the misfit by the segment.
+    The probability is computed for tracks in four or more views, and NaN elsewhere. The alternative
+    is a segment that is there by chance, while the segment of the line is missing. The evidence is
+    the increase of the misfit by the segment.
     """
     index = tracks.index
     posterior = np.full(index.shape, np.nan)

@@ -40,7 +40,8 @@ _SLOPE_VARIANCES = (11, 12, 13)
 class PencilSegments(NamedTuple):
     """Segments of one view in the frame of an epipolar pencil, one column for each segment.
 
-    Plane angles are the angles of the epipolar planes through the ends. The array `columns`
+    Plane angles are the angles of the epipolar planes through the ends. The slope of a viewing ray
+    is its coordinate along the baseline over its distance from the baseline. The array `columns`
     contains all properties, because compiled programs index it as a whole.
     """
 
@@ -124,7 +125,7 @@ class Pencil(NamedTuple):
     """Epipolar pencil: all planes through the centres of two cameras, and the segments of both
     views.
 
-    In a stack, the first three attributes have a leading axis of frames.
+    In a stack of frames, the first three attributes have a leading axis of frames.
 
     Attributes
     ----------
@@ -252,7 +253,7 @@ def plane_angles(
 ) -> Float[np.ndarray, "n 2"]:
     """Return the plane angles (low, high) of the segments of a view, (n, 2) rad.
 
-    In a stack, a multiple of 16 separates the angles of different frames.
+    In a stack of frames, a multiple of 16 separates the angles of different frames.
     """
     angles = np.stack([np.asarray(segments.low), np.asarray(segments.high)], axis=1)
     if lines.frame is None:

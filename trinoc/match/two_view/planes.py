@@ -91,7 +91,7 @@ def segment_planes(
 ) -> SegmentPlanes:
     """Collect the data of the candidates' segments, one segment in each of the given views.
 
-    In a stack, all segments of a candidate belong to one frame.
+    In a stack of frames, all segments of a candidate belong to one frame.
     """
     xp = array_namespace(lines, clutter, segments)
     view = views.reshape(-1, *(1 for _ in segments.shape[1:]))
@@ -139,7 +139,7 @@ def interpretation_planes(segments: SegmentPlanes, points_mm: Vector3) -> Interp
 def variance_mm2(segments: SegmentPlanes, planes: InterpretationPlanes, e: int, f: int) -> OfViews:
     """Return the covariance of the distances of points e and f from each plane, (v, h) mm^2.
 
-    It follows from the errors of the segments.
+    The covariance follows from the errors of the segments.
     """
     interval, px_per_mm = planes.interval, planes.px_per_mm
     covariance = interpolated_covariance(segments.variance_px2, interval[:, e], interval[:, f])
@@ -157,8 +157,8 @@ def extents_on_line(
 ) -> tuple[OfViews, OfViews]:
     """Return the interval (low, high) of each segment on a line in space, (v, h) mm each.
 
-    Its ends are the points of the line nearest to the viewing rays of the segment's ends. Positions
-    are measured from `origin` along the unit vector `direction`.
+    The ends of the interval are the points of the line nearest to the viewing rays of the segment's
+    ends. Positions are measured from `origin` along the unit vector `direction`.
     """
     direction = in_front(direction)
     centre = add3(vector3(segments.centre_mm), in_front(origin), -1.0)

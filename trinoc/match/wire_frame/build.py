@@ -55,7 +55,7 @@ class SnoopingResult(NamedTuple):
 
 
 def end_fit(graph: Graph, adjusted: AdjustedGraph) -> EndFit:
-    """Compute the chi-square of each line end against its vertex, which all its lines determine."""
+    """Compute the chi-square of each line end against the vertex that all lines there determine."""
     is_shared = np.bincount(graph.vertex.reshape(-1))[graph.vertex] > 1
     line_covariance, axes = adjusted.across_mm2, adjusted.axes[:, None, :2]
     vertex_covariance = axes @ adjusted.vertex_covariances_mm2[graph.vertex] @ axes.mT
@@ -77,8 +77,8 @@ def snoop_ends(
     """Remove line ends that do not fit their vertex, the worst first, until all ends fit.
 
     An end does not fit if its chi-square is improbable at the given significance. If two ends fit
-    equally badly, the end of the line with the lower posterior is removed. This is so at a vertex
-    of two lines.
+    equally badly, as at a vertex of two lines, the end of the line with the lower posterior is
+    removed.
     """
     let_go: list[tuple[int, int, float, int]] = []
     while True:

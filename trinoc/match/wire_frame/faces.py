@@ -155,7 +155,8 @@ def fit_plane(
 ) -> Face:
     """Fit a plane to the vertices of a loop, weighted by their joint covariance.
 
-    With `flattened`, the vertices already lie in one plane, so only its covariance is computed.
+    With `flattened`, the vertices already lie in one plane, so only the covariance of the plane is
+    computed.
     """
     points, joint = adjusted.points_mm[loop], adjusted.joint(loop)
     centre = points.mean(axis=0)
@@ -224,7 +225,7 @@ FLATTEN_STEPS = 3
 def flatten_faces(adjusted: AdjustedGraph, faces: list[Face]) -> AdjustedGraph:
     """Move the vertices so that those of each face lie in one plane, by constrained least squares.
 
-    The covariances are updated.
+    The covariances of the vertices are updated.
     """
     points, covariance = adjusted.points_mm.copy(), list(adjusted.covariance_mm2)
     for part in sorted({int(adjusted.part[face.loop[0]]) for face in faces}):

@@ -238,7 +238,7 @@ class Wireframe(Feature):
 
     @property
     def face_posterior(self) -> Float[np.ndarray, "f"]:
-        """Posterior of each face: the smallest one of its edges, (f,)."""
+        """Smallest posterior of the edges of each face, (f,)."""
         posterior_of_edge = {
             tuple(pair): p for pair, p in zip(self.edges.tolist(), self.posterior.tolist())
         }

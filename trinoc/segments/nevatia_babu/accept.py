@@ -25,7 +25,7 @@ _RMS_OF_BOW = float(np.sqrt(4 / 45))  # numerical: moments of a parabola
 def typical_blur(lines: FittedLines) -> float:
     """Return the typical blur variance of the image's edges, px^2.
 
-    It is the median over the lines, weighted by their numbers of points.
+    The value is the median over the lines, weighted by their numbers of points.
     """
     if len(lines.support) == 0:
         return 0.0

@@ -168,7 +168,8 @@ class EdgePoints(NamedTuple):
     ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
         """Fit a Gaussian through the three values of each `profile`.
 
-        Returns its position (n, 2), px, and its variance across the edge (n,), px^2.
+        Returns the position of the Gaussian (n, 2), px, and its variance across the edge (n,),
+        px^2.
         """
         offset, variance = peak_of_slope(profile)
         offset = offset * self.spacing_px

@@ -96,8 +96,9 @@ def endpoint_crossings(
 ) -> EndpointCrossings:
     """Compute the crossings near line ends, for the pairs in `near_ends` that are not parallel.
 
-    Along both lines, the distance of the crossing is limited by the `radius_px` of the line. For
-    the first line it is measured from the end, for the other line from its nearest point.
+    Each line has its own limit `radius_px` for the position of the crossing along the line. For the
+    first line, the limit applies to the distance from the end. For the other line, it applies to
+    the distance from the nearest point of the line.
     """
     centre_px, direction, extent_px = pieces
     end, other = near_ends

@@ -99,7 +99,7 @@ def _end_deviations(
 ) -> Float[np.ndarray, "r 2"]:
     """Return the mean distance of the last points at either end from their line, (r, 2) px.
 
-    It is set to 0 if it is below `least_px` / sqrt(number of points), which noise explains.
+    Distances below `least_px` / sqrt(number of points) are set to 0, because noise explains them.
     """
     first, count = runs.first[:, None], np.minimum(last_points, runs.count)[:, None]
     steps = np.arange(last_points)

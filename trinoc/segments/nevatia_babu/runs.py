@@ -95,7 +95,8 @@ def find_runs(
 def _least_strength(level: PyramidLevel, least_contrast: float, tuning: ScaleTuning) -> float:
     """Return the smallest gradient of an edge point, grey levels per px.
 
-    It exceeds noise, and is a share of the gradient of a step with the smallest contrast.
+    The value exceeds noise, and is at least a share of the gradient of a step with the smallest
+    contrast.
     """
     faint = least_contrast / np.sqrt(2 * np.pi * (level.kernel_variance_px2 + 1.0))
     return max(tuning.threshold * level.sigma_strength, tuning.faint_share * float(faint))

@@ -123,8 +123,8 @@ def _peaks(
 def sample_profiles(gradient: Gradient, pixels: ThinnedPixels) -> Float[np.ndarray, "n 5"]:
     """Sample the gradient of another image at five pixels across each edge, (n, 5).
 
-    The samples are at the pixel, two before and two after it. They are projected on the direction
-    of the pixel's gradient.
+    The samples are at the pixel, two before and two after it. Gradients are projected on the
+    direction of the pixel's gradient.
     """
     normal = pixels.gradient / pixels.profile[:, 1:2]
     step = np.where(pixels.along_u, 1, gradient.u.shape[1])
