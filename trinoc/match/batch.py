@@ -69,7 +69,7 @@ def match_many(
     verify: Verification = "full",
     tuning: MatchTuning = DEFAULT,
 ) -> MatchBatch:
-    """Match the segments of many frames; the same result as `match_segments` for each frame.
+    """Match the segments of many frames, each as `match_segments` does.
 
     Parameters
     ----------

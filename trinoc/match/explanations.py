@@ -28,7 +28,7 @@ MIN_RESIDUALS = 8
 
 
 class Mistake(NamedTuple):
-    """A possible mistake: the sentence that describes it, and the frame after its correction."""
+    """A possible mistake in the input: its description, and the frame after its correction."""
 
     description: str
     corrected: FrameInput
@@ -152,10 +152,9 @@ def estimate_shift(
     segments_px: Float[np.ndarray, "n 2 2"],
     tuning: DecoyTuning,
 ) -> Float[np.ndarray, "2"] | None:
-    """Return the most frequent offset of segments from predicted segments parallel to them, (2,)
-    px.
+    """Return the most frequent offset between segments and parallel predicted segments, (2,) px.
 
-    The result is None if no segment near a predicted segment is parallel to it.
+    The result is None if no segment is parallel to a predicted segment nearby.
     """
     expected_step, segment_step = (
         np.diff(ends, axis=1)[:, 0] for ends in (expected_px, segments_px)

@@ -76,10 +76,11 @@ def find_segments(
         Expected number of segments that noise alone causes in such an image.
     least_contrast : float
         Smallest contrast of a segment, in 255ths of the image's range. The range is the smallest of
-        8, 10, 12, 14 or 16 bit that contains all levels. For real numbers up to 1 it is 0 to 1.
+        8, 10, 12, 14 or 16 bit that contains all levels. For real numbers up to 1, the range is 0
+        to 1.
     arcs : bool
-        True to keep chords of arcs, such as the rims of cylinders. They deviate from the arc by at
-        most `tolerance_px`.
+        True to keep chords of arcs, such as the rims of cylinders. The chords deviate from the arc
+        by at most `tolerance_px`.
     intrinsics : Intrinsics, optional
         Lens whose distortion is removed from the edge points before lines are fitted. The segments
         are then in undistorted pixels.

@@ -144,7 +144,7 @@ def _cut_pieces(ends: Float[np.ndarray, "n 2 2"]) -> Pieces:
 def _sigmas(
     segments: Segments, direction: Float[np.ndarray, "n 2"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return the sigma of each segment's ends across it and along it, (n,) px each.
+    """Return the sigma of each segment's ends across and along the segment, (n,) px each.
 
     Of the two ends, the larger sigma is used.
     """

@@ -123,9 +123,9 @@ def spatial_index(
 ) -> SpatialIndex:
     """Build the spatial index of the segments of a view.
 
-    In each layer, a segment is listed in every cell within its margin. In these cells it is listed
-    in every sector that differs from its direction by at most `slack_rad` plus the layer's
-    `slack_rad`.
+    In each layer, a segment is listed in every cell within its margin. In these cells, the segment
+    is listed in several sectors: those within `slack_rad`, plus the layer's `slack_rad`, of its
+    direction.
 
     Parameters
     ----------

@@ -33,8 +33,7 @@ class Candidates(NamedTuple):
     side_log : (m, s)
         Result of `side_evidence`.
     expected_views : (m,)
-        Number of views whose image contains the line of a pair, but that have no segment on it; 0
-        for triples.
+        Number of other views whose image contains the line of a pair; 0 for triples.
     crossing_sine : (m,)
         Sine of the angle between the interpretation planes of a pair; 0 for triples.
     frame : (m,)

@@ -206,8 +206,8 @@ def _search_ordering(
 ) -> Iterator[tuple[Int[np.ndarray, "_"], Candidates]]:
     """Yield blocks of (result of `_triple_ids`, candidates) from one ordering of the views.
 
-    `earlier_ids` are the ids of triples from other orderings. They are skipped. `pair` are
-    the segments to combine: those of the first view, and those of the second.
+    Triples with an id in `earlier_ids` are skipped, because another ordering has predicted them.
+    `pair` are the segments of the first view and of the second view to combine.
     """
     lines, clutter, counts = orders.lines, orders.clutter, orders.counts_of_three
     order, planes, inputs, table = order_input

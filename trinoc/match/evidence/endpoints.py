@@ -49,7 +49,7 @@ def end_search_radius_px(
     ends.
 
     The distance follows from the estimated weights `shares` of the components of `end_evidence`.
-    The result is None if it would be large relative to the typical segment length.
+    The result is None if this distance is large relative to the typical segment length.
     """
     scales = np.array([*tuning.agreement_px, *tuning.pair_px, *tuning.pair_px])
     sorted_scales = np.sort(tuning.agreement_px)

@@ -39,7 +39,7 @@ def closest_approach(
     """Compute the closest approach of p pairs of lines.
 
     `point_mm` and `direction` are an end and the unit direction of the first line of each pair.
-    `other_mm` and `other_direction` are those of the second line.
+    `other_mm` and `other_direction` are the end and the direction of the second line.
     """
     offset, normal = other_mm - point_mm, cross_3d(direction, other_direction)
     sine2 = (normal**2).sum(axis=1)

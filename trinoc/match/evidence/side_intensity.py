@@ -25,7 +25,7 @@ def polarity_evidence(
     """Log likelihood ratio of the segments' polarities, one line against clutter, (m,).
 
     `polarity` is +1 or -1 if the darker side is on the right or on the left, 0 if unknown. `index`
-    and `interval` are those of the candidates.
+    and `interval` are as in `Candidates`.
     """
     views = np.arange(polarity.shape[0])
     direction = np.where(interval[..., 1] > interval[..., 0], 1.0, -1.0)

@@ -277,8 +277,9 @@ class PairEvidence(NamedTuple):
     Attributes
     ----------
     end_log : (2, c)
-        For both ends, log density of each component over that of clutter. Components: the two
-        segment ends correspond, with each scale of their distance; they do not correspond.
+        For both ends, log density of each component over that of clutter. The last component means
+        that the two segment ends do not correspond. The others mean that they correspond, with each
+        scale of their distance.
     expected_views : ()
         Number of other views whose image contains the line.
     crossing_sine : ()

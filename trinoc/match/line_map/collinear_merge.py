@@ -97,10 +97,10 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
 
     Notes
     -----
-    Two tracks are joined under two conditions. The probability that they are one line is at least
-    0.9. The probability that both tracks are right is at least 0.7. The first probability compares
-    the difference of the tracks in space with the density of parallel and other lines. The gap
-    between the tracks, in pixels, is included.
+    Two tracks are joined under two conditions. The probability that both tracks are one line is at
+    least 0.9. The probability that both tracks are right is at least 0.7. The first probability
+    compares the difference of the tracks in space with the density of parallel and other lines. The
+    gap between the tracks, in pixels, is included.
 
     The joined line must fit all segments at a significance of 0.001. A segment of several tracks is
     used once. If most tracks have residuals larger than the stated errors, all covariances are

@@ -125,8 +125,8 @@ class CollinearEvidence(NamedTuple):
     parallel_density : (p,)
         Number of lines parallel to the pair, per mm^2 across.
     shares_segment : (p,)
-        True if one segment belongs to both lines. Both lines then lie in its interpretation plane,
-        also if they are different lines at different depths.
+        True if one segment belongs to both lines. Both lines then lie in the interpretation plane
+        of the segment, even if the lines are different and have different depths.
     gap_mm : (p,)
         Gap between the pieces along the line.
     px_per_mm : (p,)

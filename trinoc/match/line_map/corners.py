@@ -173,7 +173,7 @@ def _meeting_log_odds(
     m, n : (p,)
         Rows of the two ends in `Ends`.
     log_passing : (p,)
-        Log density of the distance between the two lines if they meet, over that of unrelated
+        Log likelihood ratio of the distance between the two lines: they meet, against unrelated
         lines.
     gap_density : (p, k)
         Density of the gaps between ends and meeting point, for each gap scale.

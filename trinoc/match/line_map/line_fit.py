@@ -51,7 +51,7 @@ class LineFit(NamedTuple):
     Attributes
     ----------
     ends_mm : (2, 3)
-        The two points. The fit moves them only perpendicular to the initial line.
+        The two points. The fit moves the points only perpendicular to the initial line.
     covariance_mm2 : (6, 6)
         Covariance of both points across the line; the part along the line is 0.
     chi_square, degrees : float and int

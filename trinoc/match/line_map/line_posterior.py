@@ -191,8 +191,8 @@ def _likely_factors(
 ) -> Int[np.ndarray, "k n"]:
     """Return the combinations of error scales to evaluate, (k, n) indices of `scales`.
 
-    For few segments these are all combinations. For many segments these are the most probable
-    combination, and those that differ from it for one or two segments.
+    For few segments, all combinations are returned. For many segments, the most probable
+    combination is returned, with all combinations that differ for one or two segments.
     """
     count, kinds = equations.square.shape[1], len(scales)
     if count <= ALL_FACTORS_TO:
@@ -207,10 +207,10 @@ def _likely_factors(
 
 
 def _neighbouring_factors(current: Int[np.ndarray, "n"], kinds: int) -> Int[np.ndarray, "k n"]:
-    """Return the combination `current`, and all that differ from it for one segment or for two.
+    """Return the combination of error scales `current`, and its neighbours.
 
-    For many segments, only those that differ for one segment are returned. `kinds` is the number of
-    error scales.
+    A neighbour has other error scales for one or two segments. For many segments, only neighbours
+    that differ for one segment are returned. `kinds` is the number of error scales.
     """
     count = len(current)
     changed_sets = [(), *((i,) for i in range(count))]

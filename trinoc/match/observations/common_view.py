@@ -72,7 +72,7 @@ def mirror_rig(rig: Rig) -> Rig:
 def mirrored_rig_error(names: Iterable[str], before: int, behind: int) -> InputError:
     """Return the error for a mirrored rig.
 
-    `before` and `behind` are the numbers of lines in front of the cameras and behind them.
+    `before` and `behind` are the numbers of lines in front of the cameras and behind the cameras.
     """
     return InputError(sentences.rig_mirrored(names, before, behind))
 

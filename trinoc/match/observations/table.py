@@ -146,7 +146,7 @@ def look_up_frames(
 ) -> Int[np.ndarray, "m"] | None:
     """Return the frame of each candidate of a stack, (m,), or None for a single frame.
 
-    `index` (m, v) are the segments of each candidate; -1 means that it has none in that view.
+    `index` (m, v) are the segments of each candidate, -1 in views without a segment.
     """
     if lines.frame is None:
         return None

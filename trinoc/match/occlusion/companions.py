@@ -150,8 +150,8 @@ def find_companions(
 ) -> Companions:
     """Find the companions of all candidates. Only the candidates `likely_rows` can be companions.
 
-    A candidate and its companion have at least two common views. In each of these their segments
-    are different neighbours of the same kind, on the same side.
+    A candidate and its companion have at least two common views. In every common view, their two
+    segments are different, and are neighbours of the same kind and on the same side.
     """
     index, count, frame = candidates.index, len(candidates.index), candidates.frame
     forward = candidates.interval[..., 1] > candidates.interval[..., 0]
@@ -183,9 +183,9 @@ def _candidates_of_neighbours(
     rows: Int[np.ndarray, "r"],
     likely_rows: Int[np.ndarray, "k"],
 ) -> tuple[Int[np.ndarray, "e"], Int[np.ndarray, "e"], Int[np.ndarray, "e"]]:
-    """For each pair of neighbouring segments, list the candidates that contain them, in one view.
+    """List the pairs of candidates that contain two neighbouring segments, in one view.
 
-    Returns (candidates with the first segment, likely candidates with the second segment, index of
+    Returns (candidate with the first segment, likely candidate with the second segment, index of
     the pair of neighbours).
     """
     edge = np.arange(len(neighbours.first))

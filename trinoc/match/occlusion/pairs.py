@@ -176,8 +176,8 @@ def _initial_rates(
 ) -> Rates:
     """Return the initial mixture and junction parameters for the pairs of each frame.
 
-    The parameters were estimated from triples. In frames with few triples, those of the prior are
-    used.
+    The parameters were estimated from triples. Frames with few triples have the parameters of the
+    prior.
     """
     prior_rates = (
         prior_parameters(pairs.ends_mm, mean_counts, tuning, pairs.frame),
@@ -208,7 +208,7 @@ def _take_frames(candidates: Candidates, is_selected: Bool[np.ndarray, "f"]) -> 
 def _free_segments(
     matched: Candidates, counts: list[int], max_share: float
 ) -> list[Int[np.ndarray, "_"]]:
-    """Return the free segments of each view: those with a matched share below `max_share`."""
+    """Return the free segments of each view: segments with a matched share below `max_share`."""
     free_segments = []
     for view, count in enumerate(counts):
         has_segment = matched.index[:, view] >= 0

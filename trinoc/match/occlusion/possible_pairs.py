@@ -300,10 +300,12 @@ def log_ends(candidates: Candidates, shares: Float[np.ndarray, "*m c"]) -> Float
 
 
 def end_shares(mixture: MixtureParameters, tuning: EndTuning) -> Float[np.ndarray, "*f c"]:
-    """Return the weights of the end components for two views, (c,), from those for three views.
+    """Return the mixture weights of the segment ends for two views, (c,), from the weights for
+    three.
 
-    Components: the two ends correspond, with each scale of their distance; they do not correspond.
-    The two views are assumed to be a random pair of the three.
+    The last component means that the two ends do not correspond. The others mean that they
+    correspond, with each scale of their distance. The two views are assumed to be a random pair of
+    the three.
     """
     all_agree, two_agree = len(tuning.agreement_px), len(tuning.pair_px)
     agreeing = mixture.ends[..., :all_agree].copy()

@@ -136,9 +136,9 @@ def estimate_bodies(
 def temper_tracks(
     lines: SegmentTable, tracks: Tracks, bodies: Bodies, tuning: MatchTuning
 ) -> Tracks:
-    """Return the tracks with tempered log odds: those of the tracks and those of their rivals.
+    """Return the tracks with tempered log odds of tracks and rivals.
 
-    Tempering multiplies log odds by a factor below 1. It is applied to edges of solid bodies,
+    Tempering multiplies log odds by a factor below 1. Edges of solid bodies need this factor,
     because the evidence for such edges is correlated.
     """
     candidates, rules = tracks.candidates, tuning.occlusion

@@ -12,7 +12,7 @@ from trinoc.match.tracks.matches import Matches
 
 
 class LineImages(NamedTuple):
-    """Images of s lines in one view, in undistorted pixels.
+    """Images of s lines in space in one view, in undistorted pixels.
 
     Positions along an image are measured from the image of the line's first end.
 

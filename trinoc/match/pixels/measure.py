@@ -272,8 +272,8 @@ def _move_lines(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move the ends of lines perpendicular to the lines, and return the ends with their covariance.
 
-    The positions along the lines change by their correlation with the move. `rotation` maps world
-    coordinates to the four across the line and the two along it.
+    The positions along the lines change by their correlation with the move. `rotation` maps the
+    world coordinates of both ends to four coordinates across the line and two along the line.
     """
     regression = np.linalg.solve(covariance_before[:, :4, :4], covariance_before[:, :4, 4:]).mT
     move_along = (regression @ move[..., None])[..., 0]

@@ -207,8 +207,8 @@ def _extend_columns(
 ) -> Bool[np.ndarray, "b c"]:
     """Return the mask of the columns to use in the next step of the fit, (b, c).
 
-    A column is used if its mean agrees with the fitted levels of its block, and all columns between
-    it and the edge are used.
+    A column contains the pixels of a block at one distance from the edge. A column is used if its
+    mean agrees with the fitted levels, and all columns up to the edge are used.
     """
     pixel_count = usable.sum(axis=1)
     limit = tuning.ring_sigmas * noise[:, None] * np.sqrt(np.maximum(pixel_count, 1))

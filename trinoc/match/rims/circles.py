@@ -32,7 +32,7 @@ def usual_mm_per_px(
 ) -> float:
     """Return the size of one pixel at the lines, median over lines and views, mm.
 
-    Without lines it is 1.
+    Without lines, the result is 1.
     """
     length = np.linalg.norm(lines_mm[:, 1] - lines_mm[:, 0], axis=1)
     scales = []

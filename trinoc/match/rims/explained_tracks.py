@@ -38,8 +38,8 @@ def are_outlines(
 ) -> Bool[np.ndarray, "n"]:
     """Return the mask of the segments that may be an outline of the cylinder below a circle, (n,).
 
-    The viewing rays of both ends must touch the cylinder. One of the rays must touch it near the
-    circle.
+    The viewing rays of both ends must touch the cylinder. One of the rays must touch the cylinder
+    near the circle.
     """
     is_outline = np.zeros(len(chords.view), dtype=bool)
     rays = chords.rays[:, ENDS]
@@ -76,7 +76,7 @@ def heights_of_closest_approach(
 
 
 class TracksBesideRims(NamedTuple):
-    """Tracks that no rim explains. They remain in the result.
+    """Tracks that no rim explains, and that therefore remain in the result.
 
     Attributes
     ----------

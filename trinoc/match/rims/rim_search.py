@@ -84,13 +84,13 @@ def find_rims(
     Notes
     -----
     Each view divides an arc into chords at other positions. Matched chords are therefore near the
-    arc and not on it. A rim has six unknowns: centre, plane and radius. All its chords in all views
-    determine them.
+    arc and not on it. A rim has six unknowns: centre, plane and radius. All chords of the rim in
+    all views determine these unknowns.
 
     Pairs of matched lines propose circles. The segments of all views are compared with each circle.
-    A circle is accepted if two views have chords on more than a quarter of it. Pieces of the
-    circle, cut where segments end, replace the tracks of its chords. Tracks of the body's outlines
-    below a rim get the mark "silhouette".
+    A circle is accepted if two views have chords on more than a quarter of the circle. Pieces of
+    the circle, cut where segments end, replace the tracks of its chords. Tracks of the body's
+    outlines below a rim get the mark "silhouette".
     """
     inputs = prepare(segments_of_views("Finding rims", matches.views, segments), rig, None)
     # The noise scale of the matches is not used here, because matched chords disagree.

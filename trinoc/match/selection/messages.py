@@ -124,8 +124,8 @@ def log_kept_share(
     (k,).
 
     Candidates are discarded to limit the memory. For a segment, the probability is the odds of its
-    selected candidates over the odds of all its candidates. For a candidate it is the smallest
-    value of its segments.
+    selected candidates over the odds of all its candidates. For a candidate, the result is the
+    smallest value of its segments.
     """
     share = np.zeros(len(selected_rows))
     for view in range(index.shape[1]):
@@ -342,7 +342,7 @@ def _propagate(
     """Iterate the messages to all candidates until they converge, and return them, (m, v).
 
     With `from_greedy`, the initial messages are those of the candidates `is_selected`. Otherwise
-    they are `start_messages`.
+    the initial messages are `start_messages`.
     """
 
     def message(odds: Float[ArrayLike, "m v"]) -> Float[ArrayLike, "m v"]:
@@ -390,7 +390,7 @@ def choose_greedily(score: Float[np.ndarray, "m"], graph: ConflictGraph) -> Bool
     Notes
     -----
     In each round, every candidate with a larger score than all of its remaining rivals is accepted,
-    and its rivals are excluded. The result is the same as for one candidate at a time.
+    and its rivals are excluded. Accepting one candidate at a time gives the same result.
     """
     is_accepted = score > 0
     owner, rival = graph.slot // graph.views, graph.rival_slot // graph.views

@@ -158,14 +158,14 @@ def unmatched_reasons(
     is_in_pattern: Bool[np.ndarray, "n"],
     tuning: TrackTuning = DEFAULT.tracks,
 ) -> Shaped[np.ndarray, "n"]:
-    """Return, for each segment of one view, the reason why it has no match, (n,) strings.
+    """Return the reason why each segment of one view has no match, (n,) strings.
 
     A matched segment has the reason "matched" or "matched within a pattern".
 
     Parameters
     ----------
     segment : (m,)
-        Segment of this view in each candidate, -1 if it has none.
+        Segment of this view in each candidate, -1 if the candidate has none.
     log_odds : (m,)
         Log odds of each candidate before the exclusion of rivals.
     is_out_of_range : (n,)

@@ -281,9 +281,9 @@ def flag_viewpoint_dependent(
 ) -> Bool[np.ndarray, "t"]:
     """Return the mask of the tracks that probably show no line in space, (t,).
 
-    In three or more views, the misfit of such a track is larger than noise explains. In two views,
-    a third view has an unmatched segment close to the predicted one and parallel to it. If most
-    misfits are too large for the stated errors, they are scaled first.
+    In three or more views, the misfit of such a track is larger than noise explains. For tracks in
+    two views, a third view has an unmatched segment that is parallel and close to the predicted
+    segment. If most misfits are too large for the stated errors, all misfits are scaled first.
 
     Parameters
     ----------

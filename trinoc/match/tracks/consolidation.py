@@ -106,7 +106,8 @@ def tail_of_tracks(
 def _grow(
     inputs: MatchInput, fitted: FittedTracks, noise_tail: float, tuning: MatchTuning
 ) -> FittedTracks:
-    """Add to each track the segments near its predicted line in views where it has no segment.
+    """Add to each track the segments near its predicted line, in views without a segment of the
+    track.
 
     If a segment belongs to another track, the two tracks are joined. A track that was joined to
     another one has no segments in the result.
@@ -155,7 +156,7 @@ class _Trial(NamedTuple):
     track : int
         Track that is extended.
     joined : int
-        Track that is joined to it, or NO_TRACK.
+        Track that is joined to the extended track, or NO_TRACK.
     index : (v,)
         Segments of the extended track.
     common_mm : (2, 3)

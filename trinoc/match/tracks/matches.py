@@ -126,12 +126,12 @@ class Matches(Displayable, Table):
         for two views. None if not available.
     viewpoint_dependent : (t,) or None
         True for tracks that probably show no line in space, but the outline of a round body or a
-        highlight. In three views, their misfit exceeds that of 99 in 100 straight edges. In two
-        views, a third view shows a segment near the predicted position, and none on it. None if not
-        available.
+        highlight. For tracks in three views, the misfit exceeds that of 99 in 100 straight edges.
+        For tracks in two views, a third view shows a segment near the predicted position, but none
+        at this position. None if not available.
     member_posterior : (t, v) or None
         Probability that each segment belongs to the line of the track's other segments; NaN if the
-        view has none. For tracks in two or three views it is the track's posterior. None if not
+        view has none. For tracks in two or three views, this is the track's posterior. None if not
         available.
     rig_covariance_mm2 : (t, 6, 6) or None
         Covariance that errors of the rig add to `covariance_mm2` (`with_rig_covariance`). These
@@ -142,7 +142,7 @@ class Matches(Displayable, Table):
         (`find_rims`).
     noise_scale : float
         Standard deviation of the errors across the segments, estimated from three views, over the
-        stated one. All covariances here include it. 1 for two views.
+        stated one. All covariances here include this factor. 1 for two views.
     noise_tail : float
         Inequality of the tracks' errors, estimated from three views: 1 / degrees of freedom of a
         Student distribution, 0 for normal errors. The covariances are scaled so that 95 %
@@ -301,8 +301,8 @@ class Matches(Displayable, Table):
     def ellipsoid_limit(self, probability: float) -> Float[np.ndarray, "t"]:
         """Squared Mahalanobis distance that contains a line with the given probability, (t,).
 
-        The distance is that of both ends from the true line, perpendicular to it, under
-        `covariance_mm2`. It has four degrees of freedom.
+        The distance is that of both ends from the true line, perpendicular to the line, under
+        `covariance_mm2`, with four degrees of freedom.
 
         Parameters
         ----------
@@ -312,8 +312,8 @@ class Matches(Displayable, Table):
         Returns
         -------
         (t,)
-            Limit of each track. At 0.95 it is that of a normal distribution. With unequal errors
-            (`noise_tail`) it is smaller below 0.95 and larger above.
+            Limit of each track. At 0.95, the limit is that of a normal distribution. With unequal
+            errors (`noise_tail`), the limit is smaller below 0.95 and larger above.
 
         Raises
         ------

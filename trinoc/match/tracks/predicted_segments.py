@@ -38,7 +38,7 @@ def predict_segments(
     gate: float,
     tuning: MatchTuning,
 ) -> PredictedSegments:
-    """Find the segments of one view that overlap the image of a track's line and agree with it.
+    """Find the segments of one view that overlap and agree with the image of a track's line.
 
     A segment agrees if its chi-square is below `gate`, given the covariances of line and segment.
 

@@ -101,7 +101,10 @@ def misfit_limit(
 def student_log_density(
     misfit: Float[np.ndarray, "*t"], noise_tail: float
 ) -> Float[np.ndarray, "*t"]:
-    """Log density of a misfit with two degrees of freedom, for errors with tail `noise_tail`."""
+    """Log density of a misfit with two degrees of freedom, for Student-distributed errors.
+
+    `noise_tail` is 1 / degrees of freedom of the Student distribution, 0 for normal errors.
+    """
     tail = max(noise_tail, _SMALLEST_TAIL)
     return -np.log(2) - (1 / (2 * tail) + 1) * np.log1p(misfit * tail)
 

@@ -144,11 +144,10 @@ def right_rates(
     posterior: Float[np.ndarray, "t"],
     rules: ViewSupportTuning,
 ) -> Float[np.ndarray, "v v"]:
-    """Return the share of right lines with a segment in view v, among those with one in view u, (v,
-    u).
+    """Return the share of right lines with a segment in view v, among lines in view u, (v, u).
 
-    Only lines with segments in at least three other views are counted, because they are tracks with
-    or without a segment in view v. `in_image` is the result of `lines_in_images`.
+    Only lines with segments in at least three other views are counted, because such lines are
+    tracks even without a segment in view v. `in_image` is the result of `lines_in_images`.
     """
     is_member = index >= 0
     has_three_others = (is_member.sum(axis=1, keepdims=True) - is_member) >= 3

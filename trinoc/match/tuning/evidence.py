@@ -19,8 +19,8 @@ class ClutterTuning:
 class ObservationTuning:
     """Tuned constants for the exclusion of segments that are too uncertain or duplicate.
 
-    No benchmark depends on them. They are needed because a saturated edge may have any reported
-    error.
+    No benchmark depends on these constants. The exclusion is needed because a saturated edge may
+    have any reported error.
     """
 
     # Largest standard deviation of a segment across itself, px; its length is a limit too. By hand:

@@ -56,7 +56,8 @@ class CornerTuning:
 
 @dataclass(frozen=True)
 class WireframeTuning:
-    """Tuned constants of the faces of the wire frame. `CornerTuning` has those of its vertices.
+    """Tuned constants of the faces of the wire frame. The constants of the vertices are in
+    `CornerTuning`.
 
     Their effect is visible in benchmarks/wireframe.py.
     """

@@ -42,7 +42,7 @@ class PencilSegments(NamedTuple):
 
     Plane angles are the angles of the epipolar planes through the ends. The slope of a viewing ray
     is its coordinate along the baseline over its distance from the baseline. The array `columns`
-    contains all properties, because compiled programs index it as a whole.
+    contains all properties, because compiled programs index this array as a whole.
     """
 
     columns: Float[ArrayLike, "16 *n"]
@@ -98,7 +98,7 @@ class PencilSegments(NamedTuple):
     def slope_variance(self) -> Vector3:
         """Variances and covariance (c00, c01, c11) of the slopes at the angles `low` and `high`.
 
-        They follow from the errors of the ends across the segment.
+        The values follow from the errors of the ends across the segment.
         """
         low, joint, high = _SLOPE_VARIANCES
         return self.columns[low], self.columns[joint], self.columns[high]
@@ -152,7 +152,7 @@ def build_pencil(
 ) -> Pencil:
     """Build the epipolar pencil of the views a and b.
 
-    Outside `jit` it runs in NumPy, because a single evaluation is faster than compiling.
+    Outside `jit`, the function runs in NumPy, because a single evaluation is faster than compiling.
     """
     xp = array_namespace(lines, a, b)
     lines = jax.tree.map(xp.asarray, lines)
@@ -253,7 +253,8 @@ def plane_angles(
 ) -> Float[np.ndarray, "n 2"]:
     """Return the plane angles (low, high) of the segments of a view, (n, 2) rad.
 
-    In a stack of frames, a multiple of 16 separates the angles of different frames.
+    In a stack of frames, a multiple of 16 rad is added for each frame, so that the angles of
+    different frames do not overlap.
     """
     angles = np.stack([np.asarray(segments.low), np.asarray(segments.high)], axis=1)
     if lines.frame is None:

@@ -33,8 +33,9 @@ def depth_map(
     view : str
         Name of the view.
     filled : bool
-        False: only pixels on the lines that the view shows have a depth. True: pixels inside faces
-        of the wire frame (`wireframe`) have one too, that of the nearest face.
+        False to compute the depth only for pixels on the lines that the view shows. True to fill
+        the faces of the wire frame (`wireframe`) too, each pixel with the depth of the nearest
+        face.
     tuning : MatchTuning
         All tuned constants.
 

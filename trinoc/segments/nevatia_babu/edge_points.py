@@ -68,8 +68,8 @@ class EdgePoints(NamedTuple):
         True if the profile was sampled along u, False for v.
     profile : (n, 3)
         Gradient along `normal` at the pixel before, at and after the point, grey levels per px.
-        With a nonlinear camera response it is the gradient of the light, scaled so that the middle
-        value is that of the grey levels.
+        With a nonlinear camera response, these are gradients of the light, scaled so that the
+        middle value is the gradient of the grey levels.
     light_per_level : (n,)
         Gradient of the light over gradient of the grey levels.
     uv_px : (n, 2)
@@ -141,8 +141,8 @@ class EdgePoints(NamedTuple):
         levels.
 
         `light` is the gradient of the light at five pixels across each edge. The new profile is
-        centred on that of the three middle pixels with the largest gradient. A point without a peak
-        of the light nearby keeps its position.
+        centred on the pixel with the largest gradient among the three middle pixels. A point
+        without a peak of the light nearby keeps its position.
         """
         climb = light[:, 1:4].argmax(axis=1)
         profile = np.take_along_axis(light, climb[:, None] + np.arange(3), axis=1)

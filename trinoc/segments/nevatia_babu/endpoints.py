@@ -97,8 +97,8 @@ def endpoint_crossings(
     """Compute the crossings near line ends, for the pairs in `near_ends` that are not parallel.
 
     Each line has its own limit `radius_px` for the position of the crossing along the line. For the
-    first line, the limit applies to the distance from the end. For the other line, it applies to
-    the distance from the nearest point of the line.
+    first line, the limit applies to the distance from the end. For the other line, the limit
+    applies to the distance from the nearest point of the line.
     """
     centre_px, direction, extent_px = pieces
     end, other = near_ends

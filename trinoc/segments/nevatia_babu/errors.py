@@ -33,8 +33,8 @@ class ErrorModel(NamedTuple):
     scatter_px : (r,)
         Root mean square distance of the points from the line, without the part due to noise.
     off_px : (r, 2)
-        Mean distance of the last points at each end from the line; 0 if noise explains it. A
-        neighbouring edge that ends there causes a larger value.
+        Mean distance of the last points at each end from the line; 0 if noise explains the
+        distance. A neighbouring edge near this end causes a larger value.
     """
 
     pull_px: Float[np.ndarray, "r"]

@@ -42,8 +42,8 @@ class GradientKernel(NamedTuple):
     masks : (2, 5, 5)
         Masks for u and for v, for correlation (not convolution).
     variance_px2 : float
-        Variance of the smoothing. The gradient profile across a blurred step has the sum of this
-        variance and that of the blur.
+        Variance of the smoothing. The variance of the gradient profile across a blurred step is
+        this variance plus the variance of the blur.
     noise_gain : float
         Standard deviation of each gradient component for white noise with standard deviation 1.
     slope_gain : float

@@ -31,8 +31,8 @@ class ThinnedPixels(NamedTuple):
     along_u : (n,)
         True if the gradient is nearer to the u axis, False for the v axis.
     profile : (n, 3)
-        Gradients at the pixel before, at the pixel, and at the pixel after it along that axis. They
-        are projected on the direction of the pixel's own gradient.
+        Gradients at the pixel before, at the pixel, and at the pixel after it along that axis. All
+        three are projected on the direction of the gradient at the pixel.
     uv_px : (n, 2)
         Sub-pixel peak of the profile.
     """
