@@ -196,13 +196,13 @@ def _prepare_item(
     return prepare_frame(segments, rig, sigma_px, tuning.sides, camera_cache.get(key))
 
 
-def _size(frame: FrameInput) -> tuple[int, int]:
+def _views_and_segments(frame: FrameInput) -> tuple[int, int]:
     """Return the number of views of a frame, and the largest number of segments in one view."""
     return len(frame.names), max(len(ends) for ends in frame.ends_px)
 
 
 def _is_small(frame: FrameInput) -> bool:
-    views, size = _size(frame)
+    views, size = _views_and_segments(frame)
     return views <= MAX_VIEWS and size <= LARGEST_FRAME
 
 
@@ -214,7 +214,7 @@ def _group_frames(frames: Iterable[tuple[int, FrameInput]]) -> Iterator[list[int
         if not _is_small(frame):
             yield [frame_index]
             continue
-        views, size = _size(frame)
+        views, size = _views_and_segments(frame)
         stack = open_stacks.setdefault(views, [])
         if len(stack) == FRAMES_AT_ONCE or segment_counts.get(views, 0) + size > LARGEST_STACK:
             yield stack

@@ -126,10 +126,10 @@ def check_set(
             cause = find_cause(frame, match, tuning, all_kinds=tries_all_mistakes)
     if is_chance or cause:
         note = _note_of_set(sure, decoy_counts if is_chance else [], cause)
-        return _doubt(matches, sure, decoy_counts if is_chance else [], note)
+        return _as_suspect(matches, sure, decoy_counts if is_chance else [], note)
     if noise > tuning.moved_above and share < tuning.noisy_share:
         note = sentences.rig_has_changed(sure.three_view, fewest, noise)
-        return _doubt(matches, sure, [], note)
+        return _as_suspect(matches, sure, [], note)
     return matches
 
 
@@ -180,7 +180,7 @@ def is_above_chance(
 
     Decoys have hardly any nearly certain tracks, so a few such tracks of the rig are enough.
     """
-    certain_limit = _more_than(
+    certain_limit = _limit_by_chance(
         [counts.near_certain for counts in decoy_counts], tuning.certain_rule
     )
     limit = least_above_chance([counts.three_view for counts in decoy_counts], share, tuning)
@@ -193,10 +193,12 @@ def least_above_chance(counts: Sequence[int], share: float, tuning: DecoyTuning)
     `counts` are the numbers of sure tracks of the decoys. `share` is the number of sure tracks of
     the rig over its number of segments. A stricter rule applies to a small share.
     """
-    return _more_than(counts, tuning.strict_rule if share < tuning.few_share else tuning.usual_rule)
+    return _limit_by_chance(
+        counts, tuning.strict_rule if share < tuning.few_share else tuning.usual_rule
+    )
 
 
-def _more_than(counts: Sequence[int], rule: tuple[float, float, float]) -> float:
+def _limit_by_chance(counts: Sequence[int], rule: tuple[float, float, float]) -> float:
     """Return factor * mean + sigmas * sqrt(mean) + constant, for the mean of `counts`.
 
     `rule` is (factor, sigmas, constant). The square root is the standard deviation of a Poisson
@@ -255,7 +257,7 @@ def find_cause(
     return None
 
 
-def _doubt(
+def _as_suspect(
     matches: Matches, sure: SureTracks, decoy_counts: Sequence[SureTracks], note: str
 ) -> Matches:
     """Return the matches with the status SUSPECT and with reduced posteriors.

@@ -62,7 +62,7 @@ def scout_candidates(
     if lines.frame is not None or min(view_counts) <= tuning.scouting.min_segments:
         return search_candidates(orders, tuning)
     all_rows = tuple(np.arange(count) for count in view_counts)
-    sample_rows = tuple(_spread(count, tuning.scouting.sample_size) for count in view_counts)
+    sample_rows = tuple(_evenly_spaced(count, tuning.scouting.sample_size) for count in view_counts)
     sampled = search_candidates(orders, tuning, rows=(sample_rows, all_rows))
     search_prior = _learn_prior(sampled, float(np.mean(view_counts)), clutter, tuning)
     if search_prior is None:
@@ -79,7 +79,7 @@ def scout_candidates(
     return union.take(np.unique(union.index, axis=0, return_index=True)[1])
 
 
-def _spread(count: int, sample_size: int) -> Int[np.ndarray, "_"]:
+def _evenly_spaced(count: int, sample_size: int) -> Int[np.ndarray, "_"]:
     """Return the indices of an evenly spaced sample of `count` segments, which are sorted by
     position.
     """

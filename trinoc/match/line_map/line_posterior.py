@@ -154,7 +154,7 @@ def _line_posterior(
     `shares` are the probabilities of the three error `scales`, for each line.
     """
     factors = _likely_factors(equations, shares, scales)
-    log_weight, offset, covariance = _fits(equations, factors, shares, scales)
+    log_weight, offset, covariance = _fit_combinations(equations, factors, shares, scales)
     weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
     mean = np.einsum("lk,lka->la", weight, offset)
@@ -164,7 +164,7 @@ def _line_posterior(
     return _Posterior(mean, spread)
 
 
-def _fits(
+def _fit_combinations(
     equations: _Equations,
     factors: Int[np.ndarray, "k n"],
     shares: Float[np.ndarray, "l 3"],
@@ -200,7 +200,7 @@ def _likely_factors(
     current = np.zeros(count, dtype=np.int64)
     while True:
         neighbours = _neighbouring_factors(current, kinds)
-        best = neighbours[np.argmax(_fits(equations, neighbours, shares, scales)[0][0])]
+        best = neighbours[np.argmax(_fit_combinations(equations, neighbours, shares, scales)[0][0])]
         if (best == current).all():
             return neighbours
         current = best

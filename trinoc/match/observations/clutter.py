@@ -95,7 +95,7 @@ def _distance_to_neighbour(
 def _mean_density(
     middle_px: Float[np.ndarray, "n 2"], frame: Int[np.ndarray, "n"], area_px2: np.ndarray
 ) -> Float[np.ndarray, "f"]:
-    """Number of segments per px^2, mean over the occupied part of the image, for each frame, (f,)."""
+    """Number of segments per px^2, mean over the occupied part of the image, for each frame."""
     frames = len(area_px2)
     count = np.bincount(frame, minlength=frames)[:, None]
     mean = group_sums(middle_px, frame, frames) / np.maximum(count, 1)

@@ -131,7 +131,7 @@ def _level_density_nearby(
 
     The columns are the densities of the right level, of the left level, and of both together.
     """
-    nearest = _nearest(middles_px, tuning)
+    nearest = _nearest_segments(middles_px, tuning)
     if nearest.shape[1] == 0:
         return np.zeros((len(levels), 3))
     difference = levels[:, None, :, None] - levels[nearest][:, :, None, :]
@@ -160,14 +160,14 @@ def _contrast_density_nearby(
     contrast: Float[np.ndarray, "n"], middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning
 ) -> np.ndarray:
     """Probability density of each segment's contrast among nearby segments, (n,)."""
-    nearest = _nearest(middles_px, tuning)
+    nearest = _nearest_segments(middles_px, tuning)
     # The difference of two levels has twice the variance of one.
     width = np.sqrt(2) * tuning.agreement_scales[0]
     kernel = np.exp(-0.5 * ((contrast[:, None] - contrast[nearest]) / width) ** 2)
     return kernel.sum(axis=1) / (max(nearest.shape[1], 1) * np.sqrt(2 * np.pi) * width)
 
 
-def _nearest(middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning) -> np.ndarray:
+def _nearest_segments(middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning) -> np.ndarray:
     """Return the indices of the nearest segments of each segment, (n, k); k is 0 if there are too
     few.
     """

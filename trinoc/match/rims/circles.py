@@ -307,18 +307,18 @@ def fit_circle(chords: Chords, circle: Circles) -> CircleFit:
     """
     circle, equations = gauss_newton(
         lambda current: _residuals(chords, current),
-        lambda current, step: move_circle(current, step * _scale(current)),
+        lambda current, step: move_circle(current, step * _step_scale(current)),
         circle,
         steps=_STEPS,
         largest_step=_LARGEST_STEP,
     )
-    scale = _scale(circle)
+    scale = _step_scale(circle)
     point_count, parameters = equations.squared.shape[1], len(scale)
     factor = misfit_factor(equations.chi_square, point_count - parameters)[0]
     return CircleFit(circle, factor * equations.covariance()[0] * scale[:, None] * scale)
 
 
-def _scale(circle: Circles) -> Float[np.ndarray, "6"]:
+def _step_scale(circle: Circles) -> Float[np.ndarray, "6"]:
     """Return the step of each parameter that displaces points of the circle by about its radius."""
     radius = float(circle.radius_mm[0])
     return np.array([radius, radius, radius, 1.0, 1.0, radius])
@@ -328,9 +328,9 @@ def _residuals(chords: Chords, circle: Circles) -> Residuals:
     """Return the whitened offsets of all points from the circle's image, with numerical
     derivatives.
 
-    The derivatives are by the parameters of `move_circle` in units of `_scale`.
+    The derivatives are by the parameters of `move_circle` in units of `_step_scale`.
     """
-    steps = _DIFFERENCE_STEP * np.diag(_scale(circle))
+    steps = _DIFFERENCE_STEP * np.diag(_step_scale(circle))
     circles = move_circle(circle, np.concatenate([np.zeros((1, 6)), steps, -steps]))
     scaled = circle_offsets(chords, circles).offset_px[..., ON_ARC] / chords.sigma_px[:, None]
     at_circle, forward, backward = np.split(

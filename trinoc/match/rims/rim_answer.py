@@ -40,7 +40,7 @@ class Arcs(NamedTuple):
     begin: Float[np.ndarray, "n"]
     end: Float[np.ndarray, "n"]
 
-    def hold(self, angle: Float[np.ndarray, "a"]) -> Bool[np.ndarray, "a n"]:
+    def contain(self, angle: Float[np.ndarray, "a"]) -> Bool[np.ndarray, "a n"]:
         """Return the mask of the arcs that contain each angle, (a, n)."""
         return (angle[:, None] - self.begin) % FULL_TURN < self.end - self.begin
 
@@ -85,7 +85,7 @@ def share_in_two_views(arcs: Arcs, view: Int[np.ndarray, "n"], views: int) -> fl
     if len(border) == 0:
         return 0.0
     width = np.diff(border, append=border[0] + FULL_TURN)
-    view_count = arcs.hold(border + width / 2) @ (view[:, None] == np.arange(views))
+    view_count = arcs.contain(border + width / 2) @ (view[:, None] == np.arange(views))
     return float(width[view_count.sum(axis=1) >= 2].sum() / FULL_TURN)
 
 
@@ -99,7 +99,7 @@ def cut_pieces(
     """
     border = np.unique(np.concatenate([arcs.begin, arcs.end]) % FULL_TURN)
     width = np.diff(border, append=border[0] + FULL_TURN)
-    is_covered = arcs.hold(border + width / 2)
+    is_covered = arcs.contain(border + width / 2)
     covered_length = np.where(is_covered, arcs.end - arcs.begin, 0.0)
     chord = np.full((len(border), views), -1)
     for number in range(views):
@@ -155,7 +155,7 @@ def fragments_of_pieces(
         direction = part_ends[rows, view, 1] - part_ends[rows, view, 0]
         direction = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
         normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-        bow_px = _bows(chords, circles, chord[rows, position])
+        bow_px = _chord_to_arc_px(chords, circles, chord[rows, position])
         part_covariance = covariance[rows, view]
         add_error_of_ends(
             part_covariance, np.repeat((bow_px[:, None] * normal)[:, None], 2, axis=1)
@@ -166,7 +166,9 @@ def fragments_of_pieces(
     return fragments, fragment_covariance
 
 
-def _bows(chords: Chords, circles: Circles, row: Int[np.ndarray, "p"]) -> Float[np.ndarray, "p"]:
+def _chord_to_arc_px(
+    chords: Chords, circles: Circles, row: Int[np.ndarray, "p"]
+) -> Float[np.ndarray, "p"]:
     """Return the distance between each chord and its arc, (p,) px.
 
     The distance is measured midway between the two points where chord and arc intersect. The arc
@@ -248,7 +250,7 @@ def build_rims(
     """Build the result from the accepted rims. The chords are sorted by rim, view and segment."""
     views, fitted_rims = len(matches.views), choice.rims
     parts = [
-        _pieces(rim_of_chord, chords, views, mm_per_px, tuning) for rim_of_chord in fitted_rims
+        _build_pieces(fitted_rim, chords, views, mm_per_px, tuning) for fitted_rim in fitted_rims
     ]
     empty = RimPieces(
         np.zeros((0, views), np.int64), np.zeros((0, 2, 3)), np.zeros((0, 6, 6)), np.zeros(0)
@@ -285,7 +287,7 @@ def build_rims(
 _NO_CIRCLES = Circles(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
 
 
-def _pieces(
+def _build_pieces(
     rim: FittedRim, chords: Chords, views: int, mm_per_px: float, tuning: RimTuning
 ) -> RimPieces:
     """Return the pieces of one rim as lines in space, with their covariance."""

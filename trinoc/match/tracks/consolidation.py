@@ -224,7 +224,7 @@ def _select_trials(
             or fitted.index[track, view] >= 0
         ):
             continue
-        trial = _trial(inputs, fitted, proposal, owners.get((view, segment), []), tuning)
+        trial = _build_trial(inputs, fitted, proposal, owners.get((view, segment), []), tuning)
         if trial is None or tuple(trial.index.tolist()) in rejected:
             continue
         if trial.joined != NO_TRACK and (NO_TRACK, trial.joined) in in_use:
@@ -236,7 +236,7 @@ def _select_trials(
     return trials
 
 
-def _trial(
+def _build_trial(
     inputs: MatchInput,
     fitted: FittedTracks,
     proposal: _Proposal,

@@ -83,7 +83,7 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
             if overlap_share(position, np.array([0.0, 1.0])) < smallest_share:
                 continue
             index[track, view], interval[track, view] = index[row, view], position
-            _cut(index, interval, ends, track, matrix, segment_ends)
+            _shorten_to_common_part(index, interval, ends, track, matrix, segment_ends)
             on_segment.setdefault((int(view), int(index[row, view])), []).append(track)
     merged_rows = _link_tracks(links, index, interval, ends, matrix, segment_ends, smallest_share)
     selected_rows = np.array(
@@ -130,13 +130,13 @@ def _link_tracks(
         ):
             continue
         index[a, views], interval[a, views] = index[b, views], positions
-        _cut(index, interval, ends_mm, a, matrix_px, segment_ends_px)
+        _shorten_to_common_part(index, interval, ends_mm, a, matrix_px, segment_ends_px)
         merged_into[b] = a
         merged.add(b)
     return merged
 
 
-def _cut(
+def _shorten_to_common_part(
     index: Int[np.ndarray, "m v"],
     interval: Float[np.ndarray, "m v 2"],
     ends_mm: Float[np.ndarray, "m 2 3"],

@@ -153,7 +153,7 @@ def adjust_vertices(graph: Graph) -> AdjustedGraph:
 
 
 def line_axes(ends_mm: Float[np.ndarray, "l 2 3"]) -> Float[np.ndarray, "l 3 3"]:
-    """Return two unit vectors across each line, then the unit vector along it, as rows (l, 3, 3)."""
+    """Return two unit vectors across each line, then the one along the line, as rows (l, 3, 3)."""
     direction = ends_mm[:, 1] - ends_mm[:, 0]
     direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     return np.concatenate([complete_axes(direction), direction[:, None]], axis=1)

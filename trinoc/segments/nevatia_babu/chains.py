@@ -157,26 +157,26 @@ def order_chains(
     linked = np.flatnonzero(successor >= 0)
     predecessor = np.arange(count)
     predecessor[successor[linked]] = linked
-    head, distance = _heads(predecessor)
-    closed = np.flatnonzero(predecessor[head] != head)
+    first_point, distance = _first_points(predecessor)
+    closed = np.flatnonzero(predecessor[first_point] != first_point)
     if len(closed):
-        lowest = _lowest_of_rings(np.searchsorted(closed, predecessor[closed]))
+        lowest = _lowest_of_closed_chains(np.searchsorted(closed, predecessor[closed]))
         predecessor[closed[lowest]] = closed[lowest]
-        head, distance = _heads(predecessor)
-    length = np.bincount(head, minlength=count)
+        first_point, distance = _first_points(predecessor)
+    length = np.bincount(first_point, minlength=count)
     long_chains = np.flatnonzero(length >= least_points)
     length = length[long_chains]
     starts = np.cumsum(length) - length
     chain_start = np.full(count, -1)
     chain_start[long_chains] = starts
-    chain_start = chain_start[head]
+    chain_start = chain_start[first_point]
     within = np.flatnonzero(chain_start >= 0)
     order = np.empty(len(within), dtype=np.int64)
     order[chain_start[within] + distance[within]] = within
     return order, starts
 
 
-def _lowest_of_rings(predecessor: Int[np.ndarray, "n"]) -> Int[np.ndarray, "k"]:
+def _lowest_of_closed_chains(predecessor: Int[np.ndarray, "n"]) -> Int[np.ndarray, "k"]:
     """Return the point with the smallest index of each closed chain, (k,).
 
     All points must lie on closed chains.
@@ -188,25 +188,25 @@ def _lowest_of_rings(predecessor: Int[np.ndarray, "n"]) -> Int[np.ndarray, "k"]:
     return np.flatnonzero(lowest == np.arange(len(lowest)))
 
 
-def _heads(predecessor: Int[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray]:
+def _first_points(predecessor: Int[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray]:
     """Return the first point of each point's chain, and the number of steps to it, (n,) each.
 
     For a closed chain, any of its points is returned.
     """
     count = len(predecessor)
-    head = predecessor.copy()
+    first_point = predecessor.copy()
     distance = (predecessor != np.arange(count)).astype(np.int64)
     # Points whose first point is final need no more rounds; most chains are short.
     under_way = np.flatnonzero(predecessor[predecessor] != predecessor)
     for _ in range(max(1, int(count).bit_length())):
         if len(under_way) == 0:
             break
-        before = head[under_way]
-        further, steps = head[before], distance[before]
-        head[under_way] = further
+        before = first_point[under_way]
+        further, steps = first_point[before], distance[before]
+        first_point[under_way] = further
         distance[under_way] += steps
-        under_way = under_way[head[further] != further]
-    return head, distance
+        under_way = under_way[first_point[further] != further]
+    return first_point, distance
 
 
 def split_chains(
