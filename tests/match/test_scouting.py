@@ -13,7 +13,7 @@ from trinoc.match.evidence.mixture import prior_parameters
 from trinoc.match.matcher import match_segments
 from trinoc.match.observations.clutter import fit_clutter
 from trinoc.match.observations.match_input import prepare
-from trinoc.match.scouting import _learn_prior, _evenly_spaced
+from trinoc.match.scouting import _evenly_spaced, _learn_prior
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.precision import in_float64
 from trinoc.numerics.tables import with_field
