@@ -1,4 +1,4 @@
-"""Match many rigs, or many frames of one rig, in one call. A failure affects only its own item."""
+"""Match many rigs, or many frames of one rig, in one call. An error in one frame affects no other."""
 
 import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

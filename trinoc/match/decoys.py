@@ -1,16 +1,17 @@
 """Test whether segments and rig belong together, by comparison with decoys.
 
-Segments of images that the rig did not take meet by chance in two views, and sometimes in three.
-How often depends on the scene. Decoys are the same segments with one view mirrored or upside down.
-The number of tracks among decoys is the number by chance in this scene. If the rig has hardly more,
-no track is sure.
+If the rig did not take the images, segments match by chance in two views, and sometimes in three.
+The number of such matches depends on the scene. Decoys are the same segments with one view mirrored
+or upside down. The number of tracks of the decoys is the number by chance in this scene. If the rig
+has hardly more tracks, no track is sure.
 
 Most sets need no decoy. A large share of their segments is on sure tracks of three views, or many
 of their tracks are nearly certain. Other sets are compared with up to three decoys.
 
-A set is also SUSPECT if its errors are large and a shift of one view explains them. The same holds
-if a set has few lines and far more after a mistake is corrected. Mistakes are tested on the longest
-segments, with about 30 matchings, or 10 for a shift alone. `verify="quick"` skips these tests.
+A set is also SUSPECT if its errors are large and a shift of one view explains these errors. The
+same holds if a set has few lines, and far more lines after a mistake is corrected. Mistakes are
+tested on the longest segments, with about 30 matchings, or 10 for a shift alone. `verify="quick"`
+skips these tests.
 
 Reference: Elias and Gygi, "Target-decoy search strategy", Nature Methods 4, 2007.
 """
@@ -73,9 +74,10 @@ def check_set(
 ) -> Matches:
     """Return the matches, with the status SUSPECT if segments and rig do not belong together.
 
-    The status is SUSPECT in two cases. Decoys have about as many sure lines as the rig, or a shift
-    of one image explains the residuals of that image. A decoy is the same set of segments with one
-    view mirrored or upside down.
+    The status is SUSPECT in three cases. Decoys have about as many sure lines as the rig. The
+    correction of a mistake, such as a shifted image, gives far more lines or much smaller errors.
+    Few segments are sure, with large errors. A decoy is the same set of segments with one view
+    mirrored or upside down.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Steps after matching, by name, in the order in which they run.
+"""Steps after matching, by name, in the sequence in which they run.
 
 Python (`improve`) and the command use the same names. A step that detects features in space adds
-them to the result under their kind. A step imports its work itself, because most matchings take
-none.
+the features to the result under the name of their kind. A step imports its code when it runs,
+because most matchings use no step.
 """
 
 from collections.abc import Callable, Mapping, Sequence

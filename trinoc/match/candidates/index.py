@@ -1,11 +1,11 @@
 """Spatial index of the segments of one view, by position and direction.
 
-The predicted position in a third view is accurate to a fraction of a pixel, but the direction of
-a short pair only to degrees. So the index sorts by position first, in square cells that a
-segment enters wherever it passes. Inside a cell it sorts by direction, in sectors. It has
-several layers: fine sectors for precise predictions, coarse sectors with wider margins for
-others, and one layer for all directions. Images with many segments have one finer layer, because
-rejecting wrong entries takes longer there than building the index.
+A pair predicts the position in a third view to a fraction of a pixel, but the direction of a short
+pair is known only to degrees. The index therefore sorts segments by position first, into all square
+cells that a segment enters. Inside a cell, it sorts segments by direction, into sectors. The index
+has several layers. Fine sectors are for precise predictions, coarse sectors with wider margins for
+others, and one layer contains all directions. Images with many segments have one finer layer,
+because rejecting wrong entries takes longer there than building the index.
 """
 
 import functools

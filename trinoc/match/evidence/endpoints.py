@@ -1,9 +1,10 @@
 """Evidence of the segments' ends along their common line.
 
-A detector ends the images of one line at nearly the same position, or breaks one of them. At
-each end, all views agree, or two agree and the third stops short or runs on, or none agree. The
-evidence compares this mixture with ends that are uniform on the longest segment. The weights
-depend on the detector; `em_step` estimates them from the images at hand.
+A detector usually ends the images of one line at corresponding positions, or breaks one of them. At
+each end, there are three cases. All views agree. Two views agree, and the third segment is shorter
+or longer. No views agree. The evidence compares the mixture of these cases with ends that are
+uniform on the longest segment. The weights of the mixture depend on the detector. `em_step`
+estimates them from the images at hand.
 """
 
 import numpy as np

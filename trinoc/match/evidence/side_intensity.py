@@ -1,10 +1,11 @@
 """Evidence of the grey levels beside segments: in diffuse light, a surface is equally bright in all
 views.
 
-An edge separates two surfaces. Both look the same in all images, or one does (if the other is a
-background that differs between views), or none. `em_step` estimates the frequency of each case,
-and the precision of the agreement, from the images at hand. The darker side of a line in space
-is also the same in all images. It is evidence, never a gate.
+An edge separates two surfaces. Three cases are possible. Both surfaces look the same in all images.
+Only one does, because the other is a background that differs between views. None does. `em_step`
+estimates the frequency of each case, and the precision of the agreement, from the images at hand.
+The darker side of a line in space is also the same in all images. This polarity changes the log
+odds, but excludes no candidate.
 """
 
 from itertools import combinations_with_replacement

@@ -1,10 +1,11 @@
 """Posterior of lines in space, given segments of which some have larger errors than stated.
 
-The error of each segment is the stated one times one of a few factors, which is unknown. Given
-the factors, the line is a least-squares fit. Its posterior is the mixture of these fits,
-weighted by the likelihood of the segments. If the views agree, it is hardly wider than one fit.
-If they disagree, it covers every view that may be right. If only two views show a line, nothing
-indicates the factors, and the variance is the mean one of all segments.
+The error of each segment has the stated standard deviation times an unknown factor, one of a few
+values. If the factors are known, the line is a least-squares fit. The posterior of a line is the
+mixture of these fits, weighted by the likelihood of the segments. If the views agree, the posterior
+is hardly wider than one fit. If the views disagree, the posterior covers every view that may be
+right. If only two views show a line, nothing indicates the factors, and the variance is the mean
+one of all segments.
 """
 
 from itertools import combinations, product

@@ -170,7 +170,7 @@ class PairRates(NamedTuple):
         Weight of each component of the end evidence; the last component is "the ends do not
         correspond".
     log_by_length : (k,)
-        Log of the number of lines in each length class over the number of clutter segments.
+        Log of the share of each length class among lines over its share among clutter.
     mixture : MixtureParameters
         Density and number of lines.
     junctions : JunctionParameters

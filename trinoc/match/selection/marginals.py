@@ -239,8 +239,8 @@ def residual_scale(
     """Estimate the factor between actual and assumed errors across the segments, for each frame,
     (f,).
 
-    The estimate is the median chi-square of the sure triples. Triples whose errors are mostly
-    common to both ends of their segments are ignored, because such errors cause no residual.
+    The estimate follows from the median chi-square of the sure triples. Triples whose errors are
+    mostly common to both ends of their segments are ignored, because such errors cause no residual.
     `across_px2` is the assumed covariance. A prior of `prior_observations` triples with a factor of
     1 stabilises the estimate of few triples.
     """

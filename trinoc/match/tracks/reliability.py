@@ -1,8 +1,9 @@
-"""Verdict on a set of matches: one answer for status, text, records, reports and exit codes.
+"""Checks of a set of matches. Status, text, records, reports and exit codes use the same result.
 
-Two things decide. The first is evidence that segments and rig do not belong together. The second
-is the uncertainty of the lines relative to the extent of the scene. The share of matched
-segments does not decide: in a cluttered scene it is small although the lines are right.
+Two properties determine the status. The first is evidence that segments and rig do not belong
+together. The second is the uncertainty of the lines relative to the extent of the scene. The share
+of matched segments has no influence: in a cluttered scene the share is small although the lines are
+right.
 """
 
 from collections.abc import Mapping
