@@ -1,4 +1,4 @@
-"""Match many rigs, or many frames of one rig, in one call. An error in one frame affects no other."""
+"""Match many rigs, or many frames of one rig, in one call; an error affects only its own frame."""
 
 import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
