@@ -159,12 +159,12 @@ def _match_stacks(
     device, large_stacks = config.jax_default_device, []
 
     def on_thread(stack: list[int]) -> list[Matches]:
-        segment_counts = [[len(ends) for ends in frames[k].ends_px] for k in stack]
-        sizes = bucket(max(map(sum, zip(*segment_counts, strict=True)))), bucket(len(stack))
+        numbers = [[len(ends) for ends in frames[k].ends_px] for k in stack]
+        sizes = bucket(max(map(sum, zip(*numbers, strict=True)))), bucket(len(stack))
         # Each thread has its own JAX settings.
         with (
             jax.default_device(device),
-            one_compiles("match_frames", len(segment_counts[0]), *sizes),
+            one_compiles("match_frames", len(numbers[0]), *sizes),
         ):
             return in_float64(match_stack)(stack)
 
