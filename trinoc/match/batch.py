@@ -162,10 +162,7 @@ def _match_stacks(
         numbers = [[len(ends) for ends in frames[k].ends_px] for k in stack]
         sizes = bucket(max(map(sum, zip(*numbers, strict=True)))), bucket(len(stack))
         # Each thread has its own JAX settings.
-        with (
-            jax.default_device(device),
-            one_compiles("match_frames", len(numbers[0]), *sizes),
-        ):
+        with jax.default_device(device), one_compiles("match_frames", len(numbers[0]), *sizes):
             return in_float64(match_stack)(stack)
 
     with ThreadPoolExecutor(min(multiprocessing.cpu_count(), MAX_THREADS)) as threads:
