@@ -96,7 +96,8 @@ def log_position_density(
 ) -> Float[np.ndarray, "m"]:
     """Return the log density of lines at the position of each candidate, (m,).
 
-    The density is per mm^3 of position and per steradian of direction (2 pi in total).
+    The density is per mm^3 of position and per steradian of direction. All directions of a line
+    together are 2 pi steradian.
     """
     volume = Volume(*(broadcast_groups(field, frame) for field in volume))
     centred = ends_mm - np.expand_dims(volume.centre_mm, -2)

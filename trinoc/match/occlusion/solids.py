@@ -165,11 +165,12 @@ def temper_pairs(
     bodies: Bodies,
     tuning: MatchTuning,
 ) -> Float[np.ndarray, "m"]:
-    """Return tempered log odds of pairs, (m,): multiplied by a factor, plus an offset.
+    """Return the tempered log odds of pairs, (m,).
 
-    For solid bodies, the offset decreases with the angle between the viewing directions, because
-    more edges are then hidden in one view. Pairs with known side levels have no offset, because the
-    levels distinguish the edges.
+    The log odds of edges of solid bodies are multiplied by a factor below 1, and an offset is
+    added. The offset decreases with the angle between the viewing directions, because more edges
+    are then hidden in one view. Pairs with known side levels have no offset, because the levels
+    distinguish the edges.
     """
     rules, solid_share = tuning.occlusion, bodies.junction_share * (1 - bodies.see_through_share)
     viewpoint_offset = solid_share * (rules.solid_offset - rules.viewpoint_penalty * crossing_sine)

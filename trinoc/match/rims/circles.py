@@ -252,9 +252,10 @@ def are_touching(
 def points_on_circles(
     circles: Circles, angle: Float[np.ndarray, "h n"]
 ) -> Float[np.ndarray, "h n 3"]:
-    """Return the points of circles at the given angles, (h, n, 3) mm.
+    """Return the points of circles at the given angles, rad, (h, n, 3) mm.
 
-    Angles are measured from the first of `complete_axes(normal)`.
+    Angles are measured in the plane of the circle, from the first of its two axes
+    `complete_axes(normal)`.
     """
     frame = complete_axes(circles.normal)
     radial = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ frame

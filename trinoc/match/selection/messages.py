@@ -152,7 +152,10 @@ def log_kept_share(
 def with_log_share(
     log_odds: Float[np.ndarray, "m"], log_share: Float[np.ndarray, "m"]
 ) -> Float[np.ndarray, "m"]:
-    """Return the log odds of the probability p s, given those of p and `log_share` = log s."""
+    """Return the log odds of the probability p s.
+
+    `log_odds` are the log odds of p, and `log_share` is the logarithm of s.
+    """
     # log(p s / (1 - p s)) with p = 1 / (1 + exp(-x)).
     lacking = np.expm1(-log_share)
     return -np.logaddexp(-log_odds - log_share, np.log(np.maximum(lacking, 1e-300)))

@@ -24,8 +24,8 @@ STEPS = 2
 class _Plane(NamedTuple):
     """Plane normal . x = offset_mm, with a unit normal.
 
-    A step has three parameters: turn of the normal toward its two axes (rad), and change of the
-    offset (mm).
+    A step has three parameters: turn of the normal toward the two axes `complete_axes(normal)`
+    (rad), and change of the offset (mm).
     """
 
     normal: Float[np.ndarray, "3"]
