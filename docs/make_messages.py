@@ -14,6 +14,8 @@ FILES = {
 }
 # From a docstring's first line: the parameters that follow the sentence.
 _PARAMETERS = re.compile(r"\s+`?\w+`?(, `?\w+`?)* : .*")
+# "Return the warning that two cameras ..." gives the cause "Two cameras ...".
+_RETURN = re.compile(r"^Return the (?:[\w ]+? (?:that follows if|that names|that|of) )(\w)")
 # Stands for a number, a name or a part of the text that depends on the case.
 VALUE = "…"
 START, END = "<!-- messages -->\n", "<!-- end of messages -->\n"
@@ -37,6 +39,7 @@ def _messages(file: Path) -> Iterator[tuple[str, str]]:
             continue
         cause = (ast.get_docstring(node) or "").split("\n\n")[0].replace("\n", " ")
         cause = _PARAMETERS.sub("", cause).rstrip(";.") + "."
+        cause = _RETURN.sub(lambda start: start[1].upper(), cause)
         returned = [part.value for part in ast.walk(node) if isinstance(part, ast.Return)]
         texts = [text for value in returned if value and re.search(r"\w", text := _template(value))]
         if texts:

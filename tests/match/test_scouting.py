@@ -13,7 +13,7 @@ from trinoc.match.evidence.mixture import prior_parameters
 from trinoc.match.matcher import match_segments
 from trinoc.match.observations.clutter import fit_clutter
 from trinoc.match.observations.match_input import prepare
-from trinoc.match.scouting import _learn_prior, _spread
+from trinoc.match.scouting import _evenly_spaced, _learn_prior
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.precision import in_float64
 from trinoc.numerics.tables import with_field
@@ -101,7 +101,7 @@ def test_the_number_of_lines_does_not_depend_on_the_size_of_the_sample(
     given = prepare(seen, RIG, None)
     clutter = fit_clutter(given.lines, given.counts)
     tuning = with_field(scouting(), "scouting.sample_size", sample)
-    rows = tuple(_spread(110, sample) for _ in VIEWS)
+    rows = tuple(_evenly_spaced(110, sample) for _ in VIEWS)
     every = tuple(np.arange(110) for _ in VIEWS)
     found = search_candidates(orders_of(seen), tuning, rows=(rows, every))
     learned = _learn_prior(found, 110.0, clutter, tuning)

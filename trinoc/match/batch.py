@@ -1,4 +1,4 @@
-"""Match many rigs, or many frames of one rig, in one call. A failure affects only its own item."""
+"""Match many rigs, or many frames of one rig, in one call; an error affects only its own frame."""
 
 import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -42,8 +42,14 @@ MAX_THREADS = 4
 
 
 class MatchBatch(Value):
-    """Matches of each item, or None if matching failed. `status` (n,) is "ok" or the error
-    message.
+    """Result of `match_many` for n frames.
+
+    Attributes
+    ----------
+    matches : tuple of Matches or None
+        Matches of each frame; None if the frame could not be matched.
+    status : (n,)
+        "ok", or the error message of a frame that could not be matched.
     """
 
     matches: tuple[Matches | None, ...]
@@ -63,30 +69,39 @@ def match_many(
     verify: Verification = "full",
     tuning: MatchTuning = DEFAULT,
 ) -> MatchBatch:
-    """Match the segments of many frames; the same as `match_segments` for each item.
+    """Match the segments of many frames, each as `match_segments` does.
 
     Parameters
     ----------
-    segments : for each item, camera names to segments, as in `match_segments`.
-    rigs : one rig for all items, or one rig per item.
-    sigma_px, depth_range_mm, tuning : as in `match_segments`.
-    verify : as in `match_segments`. "full" searches for the mistake only in the first refused set
-        of each rig. Later sets of that rig are verified with "quick".
+    segments : sequence of mappings
+        For each frame, a mapping from camera names to segments, as in `match_segments`.
+    rigs : Rig or iterable of Rig
+        One rig for all frames, or one rig for each frame.
+    sigma_px : float, optional
+        As in `match_segments`.
+    depth_range_mm : (float, float), optional
+        As in `match_segments`.
+    verify : "full", "quick" or "off"
+        As in `match_segments`. After the first SUSPECT frame of a rig, "full" tests later frames of
+        that rig as "quick" does.
+    tuning : MatchTuning
+        As in `match_segments`.
 
     Returns
     -------
     MatchBatch
-        An item that cannot be matched has its error message as status.
+        Matches of each frame, or the error message of a frame that cannot be matched.
 
     Raises
     ------
-    ValueError : the number of rigs differs from the number of items.
+    ValueError
+        If the number of rigs differs from the number of frames.
 
     Notes
     -----
-    Up to 64 small frames are stacked and matched as one problem. The result is the same as for
-    each frame alone, because every frame has its own parameters. Stacks run on one thread per
-    processor, at most four.
+    Up to 64 small frames are stacked and matched as one problem. The result is the same as for each
+    frame alone, because every frame has its own parameters. Stacks run on one thread per processor,
+    at most four.
     """
     check_verification(verify)
     rig_of_item = [rigs] * len(segments) if isinstance(rigs, Rig) else list(rigs)
@@ -97,34 +112,34 @@ def match_many(
 
     def prepare_all() -> Iterator[tuple[int, FrameInput]]:
         camera_cache: dict[tuple[int, tuple[str, ...]], CamerasInput] = {}
-        for number, (item, rig) in enumerate(items):
+        for k, (item, rig) in enumerate(items):
             try:
-                frames[number] = _prepare_item(item, rig, sigma_px, tuning, camera_cache)
+                frames[k] = _prepare_item(item, rig, sigma_px, tuning, camera_cache)
             except TrinocError as error:
-                status[number] = str(error)
+                status[k] = str(error)
             else:
-                yield number, frames[number]
+                yield k, frames[k]
 
     def match_stack(stack: list[int]) -> list[Matches]:
-        names = [tuple(items[number][0]) for number in stack]
+        names = [tuple(items[k][0]) for k in stack]
         return match_frames([frames[k] for k in stack], names, depth_range_mm, tuning)
 
     refused_rigs = set[int]()
     for stack, results in _match_stacks(_group_frames(prepare_all()), frames, match_stack):
-        for number, matches in zip(stack, results, strict=True):
-            item, rig = items[number]
+        for k, matches in zip(stack, results, strict=True):
+            item, rig = items[k]
             try:
                 check_before_cameras(
-                    frames[number], matches, item, rig, sigma_px, depth_range_mm, tuning
+                    frames[k], matches, item, rig, sigma_px, depth_range_mm, tuning
                 )
             except TrinocError as error:
-                status[number] = str(error)
+                status[k] = str(error)
             else:
                 verification = "quick" if verify == "full" and id(rig) in refused_rigs else verify
                 verified = check_rig_consistency(
-                    frames[number], tuple(item), matches, depth_range_mm, tuning, verification
+                    frames[k], tuple(item), matches, depth_range_mm, tuning, verification
                 )
-                item_matches[number] = verified
+                item_matches[k] = verified
                 if verified.status is MatchStatus.SUSPECT:
                     refused_rigs.add(id(rig))
     return MatchBatch(tuple(item_matches), np.array(status, dtype=np.str_))
@@ -135,10 +150,10 @@ def _match_stacks(
     frames: Mapping[int, FrameInput],
     match_stack: Callable[[list[int]], list[Matches]],
 ) -> list[tuple[list[int], list[Matches]]]:
-    """Match all stacks, and return each stack with its matches.
+    """Match all stacks, and return each stack (indices of its frames) with its matches.
 
-    Small frames are matched on threads while others are prepared. Large frames follow one by
-    one: their programs use all processors and much memory.
+    Stacks of small frames are matched on threads while later frames are prepared. Large frames
+    follow one by one, because their programs use all processors and much memory.
     """
     config: Any = jax.config
     device, large_stacks = config.jax_default_device, []
@@ -168,37 +183,40 @@ def _prepare_item(
     tuning: MatchTuning,
     camera_cache: dict[tuple[int, tuple[str, ...]], CamerasInput],
 ) -> FrameInput:
-    """Prepare one frame. The cameras of a rig are checked once for all frames that share it."""
+    """Check the segments of one frame, and convert them to the input of the matcher.
+
+    `camera_cache` stores the checked cameras of each rig, for all frames that share the rig.
+    """
     key = id(rig), tuple(segments)
     if key not in camera_cache and len(segments) > 1 and set(segments) <= set(rig.names):
         camera_cache[key] = prepare_cameras(rig, segments)
     return prepare_frame(segments, rig, sigma_px, tuning.sides, camera_cache.get(key))
 
 
-def _size(frame: FrameInput) -> tuple[int, int]:
-    """Number of views, and number of segments in the view that has most."""
+def _views_and_segments(frame: FrameInput) -> tuple[int, int]:
+    """Return the number of views of a frame, and the largest number of segments in one view."""
     return len(frame.names), max(len(ends) for ends in frame.ends_px)
 
 
 def _is_small(frame: FrameInput) -> bool:
-    views, size = _size(frame)
+    views, size = _views_and_segments(frame)
     return views <= MAX_VIEWS and size <= LARGEST_FRAME
 
 
 def _group_frames(frames: Iterable[tuple[int, FrameInput]]) -> Iterator[list[int]]:
-    """Yield groups of frame numbers that are matched as one problem."""
+    """Yield lists of frame indices. The frames of each list are matched as one problem."""
     open_stacks: dict[int, list[int]] = {}
     segment_counts: dict[int, int] = {}
-    for number, frame in frames:
+    for frame_index, frame in frames:
         if not _is_small(frame):
-            yield [number]
+            yield [frame_index]
             continue
-        views, size = _size(frame)
+        views, size = _views_and_segments(frame)
         stack = open_stacks.setdefault(views, [])
         if len(stack) == FRAMES_AT_ONCE or segment_counts.get(views, 0) + size > LARGEST_STACK:
             yield stack
             stack = open_stacks[views] = []
             segment_counts[views] = 0
-        stack.append(number)
+        stack.append(frame_index)
         segment_counts[views] = segment_counts.get(views, 0) + size
     yield from (stack for stack in open_stacks.values() if stack)

@@ -1,16 +1,17 @@
 """Test whether segments and rig belong together, by comparison with decoys.
 
-Segments of images that the rig did not take meet by chance in two views, and sometimes in three.
-How often depends on the scene. Decoys are the same segments with one view mirrored or upside down.
-The number of tracks among decoys is the number by chance in this scene. If the rig has hardly more,
-no track is sure.
+If the rig did not take the images, segments match by chance in two views, and sometimes in three.
+The number of such matches depends on the scene. Decoys are the same segments with one view mirrored
+or upside down. The number of tracks of the decoys is the number by chance in this scene. If the rig
+has hardly more tracks, no track is sure.
 
 Most sets need no decoy. A large share of their segments is on sure tracks of three views, or many
 of their tracks are nearly certain. Other sets are compared with up to three decoys.
 
-A set is also SUSPECT if its errors are large and a shift of one view explains them. The same holds
-if a set has few lines and far more after a mistake is corrected. Mistakes are tested on the longest
-segments, with about 30 matchings, or 10 for a shift alone. `verify="quick"` skips these tests.
+A set is also SUSPECT if its errors are large and a shift of one view explains these errors. The
+same holds if a set has few lines, and far more lines after a mistake is corrected. Mistakes are
+tested on the longest segments, with about 30 matchings, or 10 for a shift alone. `verify="quick"`
+skips these tests.
 
 Reference: Elias and Gygi, "Target-decoy search strategy", Nature Methods 4, 2007.
 """
@@ -47,10 +48,16 @@ MatchFrame = Callable[..., Matches]
 
 
 class SureTracks(NamedTuple):
-    """Numbers of tracks in three views that are sure (`three_view`), and nearly certain
-    (`near_certain`).
+    """Numbers of reliable tracks in three views, for the rig or for one decoy.
 
-    Both are counted without the reduction for repeated patterns.
+    Posteriors are computed here without the reduction for repeated patterns.
+
+    Attributes
+    ----------
+    three_view : int
+        Number of sure tracks in three views.
+    near_certain : int
+        Number of tracks with a posterior near 1.
     """
 
     three_view: int
@@ -65,24 +72,34 @@ def check_set(
     tuning: DecoyTuning,
     verify: Verification = "full",
 ) -> Matches:
-    """Return the matches, as SUSPECT if segments and rig do not seem to belong together.
+    """Return the matches, with the status SUSPECT if segments and rig do not belong together.
 
-    A set is suspect if decoys have about as many sure lines as the rig, or if one view is shifted.
+    The status is SUSPECT in three cases. Decoys have about as many sure lines as the rig. The
+    correction of a mistake, such as a shifted image, gives far more lines or much smaller errors.
+    Few segments are sure, with large errors. A decoy is the same set of segments with one view
+    mirrored or upside down.
 
     Parameters
     ----------
-    frame : the matched frame.
-    names : the caller's order of views.
-    matches : result for the frame. Sets of two views, or of more than three, are not tested.
-    match : function that matches a frame without the reduction for repeated patterns. Such a
-        pattern lowers all posteriors, but is no evidence against the set.
-    verify : "full" also searches for the mistake in a refused or very doubtful set. "quick" does
-        not. "off" tests nothing.
+    frame : FrameInput
+        Segments and cameras of the frame.
+    names : tuple of str
+        Names of the views in the caller's sequence.
+    matches : Matches
+        Result for the frame. Results of two views, or of more than three, are not tested.
+    match : callable
+        Matches a frame without the reduction for repeated patterns. A repeated pattern lowers all
+        posteriors, but is no evidence against the set.
+    tuning : DecoyTuning
+        Tuned constants.
+    verify : "full", "quick" or "off"
+        "full" also searches for the mistake in a SUSPECT or very doubtful set. "quick" does not.
+        "off" tests nothing.
 
     Returns
     -------
     Matches
-        In a suspect set no posterior is above 0.5. The first note names the most likely cause.
+        If SUSPECT, no posterior is above 0.5, and the first note names the most likely cause.
     """
     is_usable = [
         ~np.isin(matches.reasons[name], (BEYOND_FOLD, POSITION_UNKNOWN, DUPLICATE))
@@ -111,21 +128,21 @@ def check_set(
             cause = find_cause(frame, match, tuning, all_kinds=tries_all_mistakes)
     if is_chance or cause:
         note = _note_of_set(sure, decoy_counts if is_chance else [], cause)
-        return _doubt(matches, sure, decoy_counts if is_chance else [], note)
+        return _as_suspect(matches, sure, decoy_counts if is_chance else [], note)
     if noise > tuning.moved_above and share < tuning.noisy_share:
         note = sentences.rig_has_changed(sure.three_view, fewest, noise)
-        return _doubt(matches, sure, [], note)
+        return _as_suspect(matches, sure, [], note)
     return matches
 
 
 def _tracks_in_three(matches: Matches, frame: FrameInput) -> Int[np.ndarray, "t 3"]:
-    """Segments (t, 3) of the tracks in three views, in the frame's order of views and segments."""
+    """Return the segments (t, 3) of the tracks in three views, numbered as in `frame`."""
     columns = []
     for name, order in zip(frame.names, frame.order, strict=True):
-        number = np.full(len(matches.reasons[name]), -1)
-        number[order] = np.arange(len(order))
+        row_of_segment = np.full(len(matches.reasons[name]), -1)
+        row_of_segment[order] = np.arange(len(order))
         segments = matches.index[:, matches.views.index(name)]
-        columns.append(np.where(segments >= 0, number[segments], -1))
+        columns.append(np.where(segments >= 0, row_of_segment[segments], -1))
     index = np.stack(columns, axis=1)
     return index[(index >= 0).all(axis=1)]
 
@@ -133,7 +150,11 @@ def _tracks_in_three(matches: Matches, frame: FrameInput) -> Int[np.ndarray, "t 
 def count_by_chance(
     frame: FrameInput, sure: SureTracks, share: float, match: MatchFrame, tuning: DecoyTuning
 ) -> list[SureTracks]:
-    """Sure tracks of each decoy. Stops early once the rig clearly has more."""
+    """Match decoys of the frame, and return the numbers of sure tracks of each decoy.
+
+    No further decoy is matched once the rig clearly has more sure tracks than chance gives. `share`
+    is the number of sure tracks over the number of segments.
+    """
     decoy_counts = []
     for decoy in decoys(frame):
         decoy_counts.append(count_sure(match(decoy, three_views_only=True)))
@@ -150,19 +171,18 @@ def _note_of_set(sure: SureTracks, decoy_counts: Sequence[SureTracks], cause: st
 
 
 def count_sure(matches: Matches) -> SureTracks:
-    """Numbers of sure and of nearly certain tracks, from the counts of the matches."""
+    """Return the numbers of sure and of nearly certain tracks of a result."""
     return SureTracks(matches.counts[SURE], matches.counts[CERTAIN])
 
 
 def is_above_chance(
     sure: SureTracks, decoy_counts: Sequence[SureTracks], share: float, tuning: DecoyTuning
 ) -> bool:
-    """Test whether the rig has significantly more sure or nearly certain tracks than its decoys.
+    """True if the rig has significantly more sure or nearly certain tracks than its decoys.
 
-    Chance gives hardly any nearly certain tracks. A few of them are therefore enough where the
-    views overlap little.
+    Decoys have hardly any nearly certain tracks, so a few such tracks of the rig are enough.
     """
-    certain_limit = _more_than(
+    certain_limit = _limit_by_chance(
         [counts.near_certain for counts in decoy_counts], tuning.certain_rule
     )
     limit = least_above_chance([counts.three_view for counts in decoy_counts], share, tuning)
@@ -170,15 +190,21 @@ def is_above_chance(
 
 
 def least_above_chance(counts: Sequence[int], share: float, tuning: DecoyTuning) -> float:
-    """Smallest number of sure tracks in three views that is significant against decoys with
-    `counts`.
+    """Return the smallest number of sure tracks of the rig that is significant against its decoys.
+
+    `counts` are the numbers of sure tracks of the decoys. `share` is the number of sure tracks of
+    the rig over its number of segments. A stricter rule applies to a small share.
     """
-    return _more_than(counts, tuning.strict_rule if share < tuning.few_share else tuning.usual_rule)
+    return _limit_by_chance(
+        counts, tuning.strict_rule if share < tuning.few_share else tuning.usual_rule
+    )
 
 
-def _more_than(counts: Sequence[int], rule: tuple[float, float, float]) -> float:
-    """Upper limit for a count: factor times the mean, plus some Poisson standard deviations,
-    plus a constant.
+def _limit_by_chance(counts: Sequence[int], rule: tuple[float, float, float]) -> float:
+    """Return factor * mean + sigmas * sqrt(mean) + constant, for the mean of `counts`.
+
+    `rule` is (factor, sigmas, constant). The square root is the standard deviation of a Poisson
+    count.
     """
     factor, sigmas, constant = rule
     mean = float(np.mean(counts))
@@ -186,7 +212,7 @@ def _more_than(counts: Sequence[int], rule: tuple[float, float, float]) -> float
 
 
 def decoys(frame: FrameInput) -> Iterator[FrameInput]:
-    """Yield three decoys: the same segments with one view mirrored or upside down."""
+    """Yield three decoys, each with the segments of one view mirrored or upside down."""
     for view, change in enumerate((MIRRORED, UPSIDE_DOWN, MIRRORED)):
         yield change_view(frame, view, change)
 
@@ -198,11 +224,11 @@ def find_cause(
     *,
     all_kinds: bool,
 ) -> str | None:
-    """Sentence on the mistake that best explains the segments; None if no mistake does.
+    """Return the sentence on the mistake that best explains a bad result, or None if none does.
 
-    Shifts are always tested. With `all_kinds`, exchanged, turned and resized images are tested
-    too. A mistake is the cause if its correction gives far more sure lines, or as many lines
-    with much smaller errors.
+    Shifted images are always tested. With `all_kinds`, exchanged, turned and resized images are
+    tested too. A mistake explains the result if its correction gives far more sure lines. As many
+    lines with much smaller errors are also enough.
     """
     sample = take_longest(frame, tuning.sample_size)
 
@@ -233,10 +259,12 @@ def find_cause(
     return None
 
 
-def _doubt(
+def _as_suspect(
     matches: Matches, sure: SureTracks, decoy_counts: Sequence[SureTracks], note: str
 ) -> Matches:
-    """The matches as SUSPECT: all posteriors are multiplied by the share above chance, at most
+    """Return the matches with the status SUSPECT and with reduced posteriors.
+
+    All posteriors are multiplied by the share of sure tracks above the number by chance, at most
     0.5.
     """
     mean_by_chance = (

@@ -28,14 +28,17 @@ MIN_RESIDUALS = 8
 
 
 class Mistake(NamedTuple):
-    """Description of a possible mistake, and the frame with it corrected."""
+    """A possible mistake in the input: its description, and the frame after its correction."""
 
     description: str
     corrected: FrameInput
 
 
 def undo_mistakes(frame: FrameInput) -> Iterator[Iterator[Mistake]]:
-    """Yield groups of possible mistakes that need no estimation, the commonest group first."""
+    """Yield groups of possible mistakes: exchanged, turned and resized images, in this sequence.
+
+    The groups are sorted by frequency in practice, the most frequent group first.
+    """
     yield _exchange_views(frame)
     yield _turn_views(frame)
     yield _resize_views(frame)
@@ -58,7 +61,10 @@ def _turn_views(frame: FrameInput) -> Iterator[Mistake]:
 
 
 def _resize_views(frame: FrameInput) -> Iterator[Mistake]:
-    """Images of half or twice the size that the rig states: one image, or all of them."""
+    """Yield the mistake of images with half or twice the size that the rig states.
+
+    Either one image has the wrong size, or all images have it.
+    """
     for scale, size in ((2.0, "half"), (0.5, "twice")):
         all_resized = frame
         for view in range(len(frame.names)):
@@ -71,10 +77,11 @@ def _resize_views(frame: FrameInput) -> Iterator[Mistake]:
 
 
 def seems_shifted(frame: FrameInput, index: Int[np.ndarray, "t 3"], tuning: DecoyTuning) -> bool:
-    """Test whether a shift of one image explains most of its residuals.
+    """True if a shift of one image explains most residuals of that image.
 
-    A residual is the offset of a segment's middle from the line that the two other views
-    predict. With a shift s, all offsets of lines with normals n are n . s.
+    A residual is the distance of a segment's midpoint from the line that the two other views
+    predict. A shift s of the image changes this distance by n . s, with n the unit normal of the
+    line. `index` (t, 3) are the segments of the tracks.
     """
     if len(index) < MIN_RESIDUALS:
         return False
@@ -100,9 +107,10 @@ def seems_shifted(frame: FrameInput, index: Int[np.ndarray, "t 3"], tuning: Deco
 def _transfer(
     frame: FrameInput, index: Int[np.ndarray, "t 3"], view: int
 ) -> tuple[Float[np.ndarray, "t 2"], Float[np.ndarray, "t"]]:
-    """Lines that the two other views predict in a view, and the offset of the segments from them.
+    """Predict the line of each track in one view from its segments in the two other views.
 
-    Returns unit normals (t, 2), and signed distances (t,) of the segments' middles in px.
+    Returns the unit normals of the lines (t, 2), and the signed distances of the segments'
+    midpoints from the lines (t,), px.
     """
     planes = []
     for other in {0, 1, 2} - {view}:
@@ -124,7 +132,11 @@ def _transfer(
 def find_shifts(
     frame: FrameInput, match: Callable[[FrameInput], Matches], tuning: DecoyTuning
 ) -> Iterator[Mistake]:
-    """Yield a shift of each image in turn, estimated from the lines of the two other views."""
+    """Yield the mistake of a shifted image, for each view whose estimated shift is large enough.
+
+    The shift is the difference between the view's segments and the lines that the two other views
+    predict.
+    """
     for pair in combinations(range(3), 2):
         view = 3 - sum(pair)
         lines_mm = match(take_views(frame, list(pair))).lines_mm
@@ -140,9 +152,9 @@ def estimate_shift(
     segments_px: Float[np.ndarray, "n 2 2"],
     tuning: DecoyTuning,
 ) -> Float[np.ndarray, "2"] | None:
-    """Most frequent offset between segments and the predicted lines parallel to them, px.
+    """Return the most frequent offset between segments and parallel predicted segments, (2,) px.
 
-    None if no segment within the search radius is parallel to a predicted line.
+    The result is None if no segment is parallel to a predicted segment nearby.
     """
     expected_step, segment_step = (
         np.diff(ends, axis=1)[:, 0] for ends in (expected_px, segments_px)
@@ -178,8 +190,10 @@ def change_view(
     change: Float[np.ndarray, "2 2"],
     shift_px: Float[np.ndarray, "2"] | float = 0.0,
 ) -> FrameInput:
-    """The frame with one view transformed: a linear map about the image's middle, then a shift
-    in px.
+    """Return the frame with the segments of one view transformed.
+
+    The transformation is the linear map `change` about the image's midpoint, followed by the shift
+    `shift_px`.
     """
     middle = (np.asarray(frame.cameras.size_px[view]) - 1) / 2
     ends = (frame.ends_px[view] - middle) @ change.T + middle + shift_px
@@ -210,8 +224,9 @@ def change_view(
 
 
 def take_longest(frame: FrameInput, limit: int) -> FrameInput:
-    """The frame with only the longest segments of each view. These are most often visible in all
-    views.
+    """Return the frame with only the `limit` longest segments of each view.
+
+    Long segments are most often visible in all views.
     """
     length = [np.linalg.norm(np.diff(ends, axis=1)[:, 0], axis=1) for ends in frame.ends_px]
     rows = [
@@ -224,7 +239,7 @@ def take_longest(frame: FrameInput, limit: int) -> FrameInput:
 
 
 def _take_segments(frame: FrameInput, rows: list[Int[np.ndarray, "_"]]) -> FrameInput:
-    """The frame with the segments `rows` of each view, in that order."""
+    """Return the frame with only the segments of the given indices, `rows[view]` in each view."""
     columns = {
         name: [column[of_view] for column, of_view in zip(getattr(frame, name), rows, strict=True)]
         for name in ("order", "ends_px", "covariance_px2", "polarity", "sides")
@@ -233,7 +248,7 @@ def _take_segments(frame: FrameInput, rows: list[Int[np.ndarray, "_"]]) -> Frame
 
 
 def take_views(frame: FrameInput, views: list[int]) -> FrameInput:
-    """The frame with only the views of the given indices."""
+    """Return the frame with only the views of the given indices."""
     columns = {
         name: [column[view] for view in views]
         for name, column in frame._asdict().items()

@@ -45,40 +45,46 @@ def match_segments(
     verify: Verification = "full",
     tuning: MatchTuning = DEFAULT,
 ) -> Matches:
-    """Match line segments across the views of a rig, by geometry and by the grey levels beside
-    them.
+    """Match line segments of two or more views, and return the tracks with their lines in space.
 
     Parameters
     ----------
-    segments : camera names to Segments, or to arrays of x1 y1 x2 y2 from any detector, (n, 4) or
-        (n, 1, 4), in pixels of the image. Two views give pairs only. Three or more give triples,
-        and pairs of segments that the other views do not show.
-    rig : the cameras. It contains every name in `segments` and may contain more.
-    sigma_px : standard deviation of the ends across the segments. It replaces the covariances of
-        the segments.
-    depth_range_mm : smallest and largest depth before every camera that sees a line. Default: any
-        positive depth.
-    verify : how thoroughly the matcher tests whether three views belong to the rig. "quick"
-        compares doubtful sets with chance, in a fraction of the matching time. "full" also searches
-        for the mistake in a refused or very doubtful set, with up to 30 matchings of its longest
-        segments. "off" tests nothing.
-    tuning : all tuned constants of the method.
+    segments : mapping
+        `Segments` for each camera name. Arrays (n, 4) or (n, 1, 4) of x1 y1 x2 y2 from any
+        detector, in pixels of the image, are also accepted. Two views give pairs only. Three or
+        more views give triples, and pairs of segments that the other views do not show.
+    rig : Rig
+        The cameras. A rig may have more cameras than `segments` has names.
+    sigma_px : float, optional
+        Standard deviation of the ends across the segments, instead of the covariances of the
+        segments.
+    depth_range_mm : (float, float), optional
+        Smallest and largest depth in front of every camera that shows a line. Default: any positive
+        depth.
+    verify : "full", "quick" or "off"
+        Test whether the segments of three views belong to the rig. "quick" compares doubtful sets
+        with chance, in a fraction of the matching time. "full" also searches for the mistake in a
+        SUSPECT or very doubtful set, with up to 30 matchings of the longest segments. "off" tests
+        nothing.
+    tuning : MatchTuning
+        All tuned constants of the method.
 
     Returns
     -------
     Matches
         `posterior` is the probability of each match, `rival_posterior` that of its best rival.
-        `reasons` states for every unmatched segment why it has no match.
+        `reasons` contains the reason why a segment has no match.
 
     Raises
     ------
     MatchError, InputError
-        Names without a camera, fewer than two views, coordinates that are not finite, segments
-        without length, mirrored cameras, or an invalid depth range.
+        If a name has no camera or fewer than two views have segments. If coordinates are not finite
+        or a segment has no length. If a camera is mirrored or the depth range is invalid.
 
     Notes
     -----
-    The order of segments, of their ends and of views changes only the numbering of the result.
+    The matches depend on the geometry and on the grey levels beside the segments. Another sequence
+    of segments, of their ends or of views changes only the numbering of the result.
 
     References
     ----------
@@ -93,7 +99,7 @@ def match_segments(
 
 
 def check_depth_range(depth_range_mm: tuple[float, float] | None) -> None:
-    """Raise InputError unless the range is two depths, 0 <= least < greatest, or None."""
+    """Raise `InputError` unless the range is None or two depths with 0 <= smallest < largest."""
     if depth_range_mm is None:
         return
     smallest, largest = depth_range_mm if np.shape(depth_range_mm) == (2,) else (np.nan, np.nan)
@@ -105,7 +111,7 @@ def check_depth_range(depth_range_mm: tuple[float, float] | None) -> None:
 
 
 def check_verification(verify: str) -> None:
-    """Raise InputError for an unknown value of `verify`."""
+    """Raise `InputError` if `verify` is not one of the allowed values."""
     if verify not in get_args(Verification):
         raise InputError(f'verify is "{verify}": give "full", "quick" or "off".')
 
@@ -118,10 +124,10 @@ def check_rig_consistency(
     tuning: MatchTuning,
     verify: Verification,
 ) -> Matches:
-    """Test whether the segments belong to the rig, and return the matches with the resulting
-    status.
+    """Return the matches, with the status SUSPECT if the segments do not belong to the rig.
 
-    The test compares the number of sure tracks with that of decoys (`check_set`).
+    The number of sure tracks is compared with that of decoys, see `check_set`. `names` is the
+    caller's sequence of views.
     """
 
     def match(frame: FrameInput, *, three_views_only: bool = False) -> Matches:
@@ -145,10 +151,10 @@ def check_before_cameras(
     depth_range_mm: tuple[float, float] | None,
     tuning: MatchTuning,
 ) -> None:
-    """Raise InputError if the rig is mirrored.
+    """Raise `InputError` if the rig is mirrored, that is, if the scene lies behind its cameras.
 
-    It is mirrored if the cameras diverge, few lines lie before them, and more lines lie behind
-    them.
+    A rig is mirrored under three conditions. Its cameras diverge, few lines lie in front of the
+    cameras, and more lines lie behind the cameras.
     """
     few_lines = tuning.tracks.mirror_test_share * min(len(ends) for ends in frame.ends_px)
     if len(matches) < few_lines and views_diverge({name: rig[name] for name in segments}):
@@ -168,18 +174,25 @@ def match_frames(
 ) -> list[Matches]:
     """Match several frames with the same number of views as one problem.
 
-    At most FRAMES_AT_ONCE frames are matched together, and only if they have at most three views.
-    The noise scale of each frame is estimated from its own segments; a frame whose noise differs
-    from the stated one is matched again.
+    The noise scale of each frame is estimated from its own segments. A frame whose scale changes
+    much is matched again.
 
     Parameters
     ----------
-    frames : prepared segments and cameras of each frame.
-    names : the caller's order of view names, for each frame.
+    frames : sequence of FrameInput
+        Segments and cameras of each frame. With more than three views, a single frame; otherwise at
+        most FRAMES_AT_ONCE frames.
+    names : sequence of tuple of str
+        View names of each frame, in the caller's sequence.
+    depth_range_mm : (float, float) or None
+        Allowed depths before each camera.
+    tuning : MatchTuning
+        Tuned constants.
 
     Returns
     -------
-    Matches of each frame.
+    list of Matches
+        Matches of each frame.
     """
     frames = [exclude_unusable(frame, tuning.observations) for frame in frames]
     stated_inputs, active_frames = stack_frames(frames), np.arange(len(frames))
@@ -233,10 +246,9 @@ def _select_triples(
     triples: Iterable[tuple[tuple[int, int, int], Candidates, np.ndarray]],
     tuning: MatchTuning,
 ) -> tuple[list[Selection], list[np.ndarray]]:
-    """Select among the triples of each view triplet.
+    """Compute the posteriors of the candidate triples, separately for each triplet of views.
 
-    Returns the selections, and the segments of triples outside the depth range, both per
-    triplet.
+    Returns (selection of each triplet, segments of its triples outside the depth range).
     """
     selections, out_of_range = [], []
     for views, candidates, index in triples:

@@ -34,10 +34,10 @@ def find_triples(
     depth_range_mm: tuple[float, float] | None,
     tuning: MatchTuning,
 ) -> Iterator[tuple[tuple[int, int, int], Candidates, Int[np.ndarray, "_o _v"]]]:
-    """Yield the candidates of each view triplet.
+    """Yield the candidate triples of each triplet of views.
 
-    Each item is (the three views, candidates within the depth range, segments (o, v) of the
-    candidates outside it).
+    Each item is (the three views, candidates in the depth range, segments (o, v) of the other
+    candidates).
     """
     for views in view_triplets(inputs.lines, tuning.tracks):
         candidates = scout_candidates(inputs.lines, views, inputs.counts, clutter, tuning)
@@ -52,21 +52,23 @@ def scout_candidates(
     clutter: ClutterModel,
     tuning: MatchTuning,
 ) -> Candidates:
-    """Candidate triples worth evaluating. The same result as `trinocular_candidates`, but faster
-    for more than 1,500 segments per view.
+    """Return the candidate triples of three views, with less work than `trinocular_candidates`.
+
+    For more than 1,500 segments per view, a sample of the segments restricts the search. Unlikely
+    candidates may be missing.
     """
-    numbers = [counts[view] for view in views]
+    view_counts = [counts[view] for view in views]
     orders = prepare_orders(lines, views, counts, clutter, tuning)
-    if lines.frame is not None or min(numbers) <= tuning.scouting.min_segments:
+    if lines.frame is not None or min(view_counts) <= tuning.scouting.min_segments:
         return search_candidates(orders, tuning)
-    all_rows = tuple(np.arange(number) for number in numbers)
-    sample_rows = tuple(_spread(number, tuning.scouting.sample_size) for number in numbers)
+    all_rows = tuple(np.arange(count) for count in view_counts)
+    sample_rows = tuple(_evenly_spaced(count, tuning.scouting.sample_size) for count in view_counts)
     sampled = search_candidates(orders, tuning, rows=(sample_rows, all_rows))
-    search_prior = _learn_prior(sampled, float(np.mean(numbers)), clutter, tuning)
+    search_prior = _learn_prior(sampled, float(np.mean(view_counts)), clutter, tuning)
     if search_prior is None:
         return search_candidates(orders, tuning)
     regional = search_candidates(orders, tuning, prior=search_prior)
-    is_unexplained = _find_unexplained(regional, views, numbers, search_prior, tuning)
+    is_unexplained = _find_unexplained(regional, views, view_counts, search_prior, tuning)
     remaining_rows = tuple(np.flatnonzero(mask) for mask in is_unexplained)
     unbounded_prior = search_prior._replace(region=None, ends_px=None)
     remaining = search_candidates(
@@ -77,15 +79,21 @@ def scout_candidates(
     return union.take(np.unique(union.index, axis=0, return_index=True)[1])
 
 
-def _spread(count: int, sample_size: int) -> Int[np.ndarray, "_"]:
-    """Indices of an evenly spaced sample of the segments, which are sorted by position."""
+def _evenly_spaced(count: int, sample_size: int) -> Int[np.ndarray, "_"]:
+    """Return the indices of an evenly spaced sample of `count` segments, which are sorted by
+    position.
+    """
     return np.unique(np.linspace(0, count - 1, min(sample_size, count)).astype(np.int64))
 
 
 def _learn_prior(
     candidates: Candidates, count: float, clutter: ClutterModel, tuning: MatchTuning
 ) -> SearchPrior | None:
-    """Search prior estimated from the triples of a sample; None if too few of them are sure."""
+    """Estimate the restrictions of the search from the triples of a sample.
+
+    The result is None if too few of these triples are sure. `count` is the number of segments per
+    view.
+    """
     rules = tuning.scouting
     selection = select(candidates, float(rules.sample_size), neighbours=False, tuning=tuning)
     is_sure = selection.is_accepted & (
@@ -108,20 +116,21 @@ def _learn_prior(
 def _find_unexplained(
     candidates: Candidates,
     views: tuple[int, int, int],
-    numbers: list[int],
+    view_counts: list[int],
     search_prior: SearchPrior,
     tuning: MatchTuning,
 ) -> list[Bool[np.ndarray, "_"]]:
-    """Mask of the segments of each view that likely candidates explain only in part.
+    """Return the mask of the segments in each view of which likely candidates use only a part, or
+    none.
 
-    Likelihoods include the exclusion of rivals.
+    A candidate is likely if its posterior under the exclusion of rivals is large.
     """
     odds = prior_log_odds(candidates, search_prior.mixture, tuning.evidence)
     rules = tuning.selection
-    kept_rows = rows_within_memory(odds, candidates.index, rules.learn_log_odds, rules)
-    index = candidates.index[kept_rows]
-    interval = candidates.interval[kept_rows]
-    odds = odds[kept_rows]
+    selected_rows = rows_within_memory(odds, candidates.index, rules.learn_log_odds, rules)
+    index = candidates.index[selected_rows]
+    interval = candidates.interval[selected_rows]
+    odds = odds[selected_rows]
     graph = conflict_graph(index, interval, tuning.selection)
     posterior = probability(sum_product(odds, graph, tuning.selection).log_odds)
     is_likely = posterior > tuning.scouting.explained_posterior
@@ -129,6 +138,6 @@ def _find_unexplained(
     # If all pairs were tried, any covered part is enough.
     covered_share = 0.0 if search_prior.ends_px is None else tuning.scouting.explained_share
     return [
-        np.bincount(index[is_likely, view], length[:, view], minlength=number) <= covered_share
-        for number, view in zip(numbers, views, strict=True)
+        np.bincount(index[is_likely, view], length[:, view], minlength=count) <= covered_share
+        for count, view in zip(view_counts, views, strict=True)
     ]

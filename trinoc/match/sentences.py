@@ -17,7 +17,19 @@ from trinoc.errors import list_names
 def cameras_nearly_coincide(
     pair: tuple[str, str], baseline_mm: float, share: float, further_pairs: int
 ) -> str:
-    """Two cameras are nearly at one position. `share` : of segments at infinite depth, 0 to 1."""
+    """Return the warning that two cameras are too close together to determine depth.
+
+    Parameters
+    ----------
+    pair : (str, str)
+        Names of the two cameras.
+    baseline_mm : float
+        Distance between the two cameras.
+    share : float
+        Share of the longest segments that match at infinite depth, 0 to 1.
+    further_pairs : int
+        Number of other pairs of cameras with this problem.
+    """
     first, second = sorted(pair)
     more = f" (and {further_pairs} more pairs of cameras)" if further_pairs else ""
     return (
@@ -28,7 +40,11 @@ def cameras_nearly_coincide(
 
 
 def segments_beyond_fold(counts: Mapping[str, int], radius_px: Mapping[str, float]) -> str:
-    """Segments outside the radius within which a lens model is invertible, by view."""
+    """Return the warning that segments are excluded because the lens model is not invertible there.
+
+    `counts` and `radius_px` are, for each view, the number of excluded segments and the largest
+    invertible radius.
+    """
     beyond = ", ".join(
         f'{count} of "{name}" (beyond {radius_px[name]:.0f} px)' for name, count in counts.items()
     )
@@ -39,7 +55,10 @@ def segments_beyond_fold(counts: Mapping[str, int], radius_px: Mapping[str, floa
 
 
 def triples_discarded(count: int) -> str:
-    """More likely triples than the memory limit allows."""
+    """Return the warning that there were more likely triples than the memory limit allows.
+
+    `count` is the number of discarded triples.
+    """
     return (
         f"{count} likely triples were discarded to limit the memory, because the images contain "
         "repeated structure. The posteriors of their rivals are lowered by their share. Exclude "
@@ -48,7 +67,10 @@ def triples_discarded(count: int) -> str:
 
 
 def noise_differs(scale: float) -> str:
-    """The estimated noise differs from the stated one. `scale` : estimated over stated sigma."""
+    """Return the warning that the estimated noise differs from the stated noise.
+
+    `scale` is the estimated sigma of the segments over the stated one.
+    """
     return (
         f"The errors of the segments are {scale:.2g} times the stated sigma, and all covariances "
         f"use this estimate. Pass a sigma_px that is {scale:.2g} times the stated one, so that the "
@@ -57,7 +79,10 @@ def noise_differs(scale: float) -> str:
 
 
 def cameras_collinear(unlocated: int) -> str:
-    """The centres of all cameras lie on one line. `unlocated` : number of excluded tracks."""
+    """Return the warning that the centres of all cameras lie on one line.
+
+    `unlocated` is the number of tracks that are excluded for this reason.
+    """
     return (
         "The cameras' centres lie on one line, and no pair of views locates segments that are "
         f"parallel to it: {unlocated} tracks are excluded. Move one camera off the line."
@@ -65,7 +90,11 @@ def cameras_collinear(unlocated: int) -> str:
 
 
 def two_views_leave_unlocated(unlocated: int) -> str:
-    """Two views do not locate segments along epipolar lines."""
+    """Return the warning that two views do not determine the depth of segments along epipolar
+    lines.
+
+    `unlocated` is the number of tracks that are excluded for this reason.
+    """
     return (
         "Two views do not locate segments along their epipolar lines: "
         f"{unlocated} tracks are excluded. Add a third camera off the line through the two."
@@ -73,10 +102,16 @@ def two_views_leave_unlocated(unlocated: int) -> str:
 
 
 def set_does_not_belong(sure: int, by_chance: float | None, remedy: str) -> str:
-    """A set of segments seems not to belong to its rig.
+    """Return the warning that the segments do not seem to belong to the rig.
 
-    sure : number of sure lines in three views.
-    by_chance : mean number of sure lines of the decoys; None if no decoy was matched.
+    Parameters
+    ----------
+    sure : int
+        Number of sure lines in three views.
+    by_chance : float or None
+        Mean number of sure lines of the decoys. None if no decoy was matched.
+    remedy : str
+        Sentence with the most likely cause or the remedy.
     """
     decoys = (
         "" if by_chance is None else f", and {by_chance:.0f} with one image mirrored on purpose"
@@ -94,7 +129,11 @@ CHECK_THE_SET = (
 
 
 def rig_has_changed(sure: int, segments: int, noise_scale: float) -> str:
-    """Few segments are sure, and their errors are large."""
+    """Return the warning that a camera was probably moved.
+
+    The evidence is that only `sure` of `segments` segments are sure, with large errors.
+    `noise_scale` is the estimated sigma of the segments over the stated one.
+    """
     return (
         f"Only {sure} of {segments} segments are sure in three views, and their errors are "
         f"{noise_scale:.2g} times the stated sigma: a camera was moved, or an image is cropped or "
@@ -106,7 +145,11 @@ def rig_has_changed(sure: int, segments: int, noise_scale: float) -> str:
 
 
 def most_likely_mistake(description: str, corrected: int, uncorrected: int) -> str:
-    """A mistake whose correction gives more sure lines. The counts are of a sample."""
+    """Return the sentence that names the mistake that was probably made.
+
+    `description` is the clause of the mistake. `corrected` and `uncorrected` are the numbers of
+    sure lines with and without its correction, for a sample of the segments.
+    """
     return (
         f"Most likely {description}: after correction, {corrected} lines of a sample are sure, "
         f"instead of {uncorrected}."
@@ -114,27 +157,39 @@ def most_likely_mistake(description: str, corrected: int, uncorrected: int) -> s
 
 
 def images_exchanged(views: Iterable[str]) -> str:
-    """Images have each other's names."""
+    """Return the clause that the images of some views have each other's names."""
     return f"the images of {list_quoted(views)} are exchanged"
 
 
 def image_turned(view: str, change: str) -> str:
-    """An image is mirrored or upside down."""
+    """Return the clause that the image of a view is mirrored or upside down.
+
+    `change` is "mirrored" or "upside down".
+    """
     return f'the image of "{view}" is {change}'
 
 
 def image_resized(view: str, size: str) -> str:
-    """The segments of one view come from a scaled image. `size` : "half" or "twice"."""
+    """Return the clause that the segments of one view come from a scaled image.
+
+    `size` is "half" or "twice".
+    """
     return f'the segments of "{view}" come from an image of {size} the size of its camera\'s'
 
 
 def all_images_resized(size: str) -> str:
-    """The segments of all views come from scaled images. `size` : "half" or "twice"."""
+    """Return the clause that the segments of all views come from scaled images.
+
+    `size` is "half" or "twice".
+    """
     return f"the segments come from images of {size} the size of the cameras'"
 
 
 def image_shifted(view: str, shift_px: Float[ndarray, "2"]) -> str:
-    """Text: an image is shifted against its camera in the rig. shift_px : (x, y) shift."""
+    """Return the clause that the image of a view is shifted relative to its camera in the rig.
+
+    `shift_px` is the shift (u, v).
+    """
     return (
         f'the image of "{view}" is shifted by about ({shift_px[0]:.0f}, {shift_px[1]:.0f}) px '
         "against its camera (it is cropped, or its principal point or the camera has moved)"
@@ -142,7 +197,7 @@ def image_shifted(view: str, shift_px: Float[ndarray, "2"]) -> str:
 
 
 def list_quoted(names: Iterable[str]) -> str:
-    """Names in quotes, joined by "and"."""
+    """Return the names in quotes, joined by "and"."""
     return " and ".join(f'"{name}"' for name in names)
 
 
@@ -150,7 +205,10 @@ def list_quoted(names: Iterable[str]) -> str:
 
 
 def rig_mirrored(names: Iterable[str], before: int, behind: int) -> str:
-    """More lines lie behind all cameras than before them."""
+    """Return the error message that more lines lie behind all cameras than in front of them.
+
+    `before` and `behind` are the numbers of lines in front of the cameras and behind them.
+    """
     return (
         f"The rig of {list_names(names)} is mirrored: {behind} lines lie behind its cameras and "
         f"{before} before them. Give the matrices of unmirrored images in a right-handed world."
@@ -158,7 +216,10 @@ def rig_mirrored(names: Iterable[str], before: int, behind: int) -> str:
 
 
 def camera_mirrored(name: str, reason: str) -> str:
-    """A camera is mirrored, or looks away from the scene."""
+    """Return the error message that a camera is mirrored or looks away from the scene.
+
+    `reason` is the evidence: NEGATIVE_DETERMINANT or SCENE_BEHIND.
+    """
     return (
         f'Camera "{name}" is mirrored or looks the wrong way ({reason}): give the matrix of the '
         "unmirrored image in a right-handed world, with x to the right and y down."
@@ -172,7 +233,10 @@ SCENE_BEHIND = "the space that it shares with the other cameras lies behind it"
 
 
 def depth_range_excludes(segments: int) -> str:
-    """The depth range excludes more segments than are matched."""
+    """Return the advice that follows if the depth range excludes more segments than are matched.
+
+    `segments` is the number of excluded segments.
+    """
     return (
         f"{segments} segments have no partner within the allowed depths: check depth_range_mm, "
         "which is measured from each camera, in mm."
@@ -180,7 +244,10 @@ def depth_range_excludes(segments: int) -> str:
 
 
 def calibration_suspect(camera: str, reason: str) -> str:
-    """The calibration of a camera was suspect."""
+    """Return the explanation that the calibration of a camera was suspect.
+
+    `reason` is a sentence from the calibration, or "".
+    """
     sentence = f"{reason[:1].upper()}{reason[1:]}"
     return f"the calibration of {camera} was suspect. {sentence}".rstrip()
 
@@ -193,7 +260,10 @@ DO_NOT_BELONG = "segments and rig do not belong together."
 
 
 def only_two_views(tracks: int) -> str:
-    """No third view confirms the tracks."""
+    """Return the explanation that no third view confirms the tracks.
+
+    `tracks` is the number of tracks.
+    """
     return (
         f"of {tracks} tracks. Chance gives lines in two views too, and no third view separates "
         "these from right ones."
@@ -204,7 +274,11 @@ ADD_A_CAMERA = "Check that this rig took these images, or add a third camera."
 
 
 def sure_lines(tracks: int, share: float) -> str:
-    """Sure lines among the tracks. `share` : of segments on them in the poorest view, 0 to 1."""
+    """Return the explanation of the number of sure lines.
+
+    `tracks` is the number of all tracks. `share` is the share of segments on sure lines, 0 to 1, in
+    the view with the smallest share.
+    """
     return (
         f"of {tracks} tracks, which contain {100 * share:.0f} % of the segments of the view with "
         "the fewest matches."
@@ -212,7 +286,10 @@ def sure_lines(tracks: int, share: float) -> str:
 
 
 def too_few_sure_lines(required: int) -> str:
-    """Fewer sure lines than `required`."""
+    """Return the advice that follows if there are too few sure lines.
+
+    `required` is the smallest number of sure lines.
+    """
     return (
         f"{required} are needed: check that this rig took these images of one scene, that each "
         "image has the name of its own camera, and that no camera was moved (trinoc check)."
@@ -230,7 +307,11 @@ CHECK_THE_ERRORS = (
 
 
 def sigma_of_lines(count: int, extent: str) -> str:
-    """Median sigma of the sure lines. `extent` : of nine tenths of their ends, with unit."""
+    """Return the explanation of the median sigma of the sure lines.
+
+    `count` is the number of sure lines. `extent` is the diameter of a ball with nine tenths of
+    their ends, as text with unit.
+    """
     return (
         f"the median sigma across the {count} sure lines, nine tenths of whose ends lie within "
         f"{extent}."
@@ -246,7 +327,11 @@ REDUCE_THE_SIGMA = (
 
 
 def end_misses_near_corner(distance_mm: float, chi_square: float) -> str:
-    """The line of a free end does not pass through the corner beside it."""
+    """Return the sentence that the line of a free end does not pass through the corner near the
+    end.
+
+    `chi_square` is that of the distance from the corner, with 2 degrees of freedom.
+    """
     return (
         f"its line misses the corner beside its end by {distance_mm:.2f} mm: chi-square "
         f"{chi_square:.0f} with 2 degrees of freedom. The end stays free."
@@ -254,7 +339,10 @@ def end_misses_near_corner(distance_mm: float, chi_square: float) -> str:
 
 
 def end_leaves_corner(chi_square: float, degrees: int) -> str:
-    """A line does not pass through the corner that it was joined to."""
+    """Return the sentence that a line does not pass through the corner that its end was joined to.
+
+    `chi_square` and `degrees` are the misfit of the end to the corner.
+    """
     return (
         f"its line does not pass through the corner at its end: chi-square {chi_square:.0f} with "
         f"{degrees} degrees of freedom. The end was made free."

@@ -1,8 +1,8 @@
-"""Steps after matching, by name, in the order in which they run.
+"""Steps after matching, by name, in the sequence in which they run.
 
 Python (`improve`) and the command use the same names. A step that detects features in space adds
-them to the result under their kind. A step imports its work itself, because most matchings take
-none.
+the features to the result under the name of their kind. A step imports its code when it runs,
+because most matchings use no step.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -24,11 +24,14 @@ from trinoc.match.tracks.matches import Matches
 class StepResult(NamedTuple):
     """Result of matching and of the steps after it.
 
-    Fields
-    ------
-    matches : the tracks, with the marks that the steps set on them.
-    segments : the segments of each view, in the numbering of the matches.
-    features : detected features in space, by kind.
+    Attributes
+    ----------
+    matches : Matches
+        The tracks, with the marks that the steps set on them.
+    segments : mapping
+        Segments of each view, numbered as in the matches.
+    features : mapping
+        Detected features in space, by the name of their kind.
     """
 
     matches: Matches
@@ -36,12 +39,12 @@ class StepResult(NamedTuple):
     features: Mapping[str, Feature] = {}
 
     def with_features(self, feature: Feature) -> "StepResult":
-        """Return the same result with features of one more kind."""
+        """Return the result with one more kind of features."""
         return self._replace(features={**self.features, feature.KIND: feature})
 
 
 class StepInput(NamedTuple):
-    """Inputs that the steps share; see `improve`."""
+    """Inputs of all steps: the arguments of `improve` with these names. `images` is `pictures`."""
 
     rig: Rig
     images: Mapping[str, Shaped[np.ndarray, "..."]]
@@ -51,8 +54,16 @@ class StepInput(NamedTuple):
 
 
 class Step(NamedTuple):
-    """One step: description for the log, required input beside segments, and the function that
-    runs it.
+    """One step after matching.
+
+    Attributes
+    ----------
+    description : str
+        Text for the log.
+    requirement : str
+        Name of the argument of `improve` that the step needs, or "".
+    run : callable
+        Function that runs the step.
     """
 
     description: str
@@ -105,29 +116,39 @@ def improve(
     response: ResponseLike = "linear",
     begin: Callable[[Step], None] = lambda step: None,
 ) -> StepResult:
-    """Run some of the steps after matching, in their fixed order.
+    """Run the given steps after matching, always in the sequence of `STEPS`.
 
     Parameters
     ----------
-    matches : result of `match_segments`.
-    segments : the matched segments, by view.
-    rig : the cameras.
-    steps : names from STEPS: "pixels" (`measure_lines`), "rims" (`find_rims`, `add_rims`),
-        "wireframe" (`wireframe`).
-    pictures : image of each view. Required by "pixels".
-    arcs : function that returns the segments with the chords of arcs (`find_segments(arcs=True)`).
-        Required by "rims".
-    depth_range_mm : depth range that was used for matching.
-    response : response of the cameras to light, as in `find_segments`.
-    begin : function that is called before each step.
+    matches : Matches
+        Result of `match_segments`.
+    segments : mapping
+        Segments of each view that were matched.
+    rig : Rig
+        The cameras.
+    steps : sequence of str
+        "pixels" (`measure_lines`), "rims" (`find_rims`, `add_rims`) or "wireframe" (`wireframe`).
+    pictures : mapping, optional
+        Image of each view. Required for "pixels".
+    arcs : callable, optional
+        Function that returns the segments with the chords of arcs (`find_segments(arcs=True)`).
+        Required for "rims".
+    depth_range_mm : (float, float), optional
+        Depth range that was used for matching.
+    response : str or float
+        Response of the cameras to light, as in `find_segments`.
+    begin : callable
+        Function that is called before each step.
 
     Returns
     -------
     StepResult
+        Matches, segments and features after all steps.
 
     Raises
     ------
-    InputError : unknown step name, or a step without its required input.
+    InputError
+        If a step is unknown or its required argument is missing.
     """
     unknown = [step for step in steps if step not in STEPS]
     if unknown:

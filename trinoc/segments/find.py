@@ -69,39 +69,41 @@ def find_segments(
     ----------
     image : (h, w) or (h, w, 3)
         Image of uint8, uint16 or real numbers. The grey level of a colour is the mean of its
-        channels, in any order.
+        channels, so their sequence has no effect.
     tolerance_px : float
         Largest deviation of an edge from a straight line.
     false_alarms : float
         Expected number of segments that noise alone causes in such an image.
     least_contrast : float
         Smallest contrast of a segment, in 255ths of the image's range. The range is the smallest of
-        8, 10, 12, 14 or 16 bit that contains all levels, or 0 to 1 for real numbers up to 1.
+        8, 10, 12, 14 or 16 bit that contains all levels. For real numbers up to 1, the range is 0
+        to 1.
     arcs : bool
-        Keep chords of arcs, such as the rims of cylinders: pieces that deviate by up to
-        `tolerance_px`.
+        True to keep chords of arcs, such as the rims of cylinders. The chords deviate from the arc
+        by at most `tolerance_px`.
     intrinsics : Intrinsics, optional
         Lens whose distortion is removed from the edge points before lines are fitted. The segments
         are then in undistorted pixels.
     response : str, float or AbstractResponse
-        Grey level against light: "linear", "srgb" (nearly every camera that is not an industrial
-        one), or a bend, 0 for linear, 1 for sRGB. Edges are detected in the grey levels and located
-        in the light. A response that is not linear moves a blurred edge toward its darker side.
+        Response of the camera, grey level against light. "linear" is typical of industrial cameras,
+        "srgb" of nearly all others. A number is the bend between them: 0 for linear, 1 for sRGB.
+        Edges are detected in the grey levels and located in the light, because a nonlinear response
+        moves a blurred edge toward its darker side.
     tuning : SegmentTuning
         All other constants of the method, for benchmarks and studies.
 
     Returns
     -------
     Segments
-        The darker side of each segment is on the right of the direction from the first to the
-        second end, as displayed. So every polarity is +1. `reasons` names the largest contribution
-        to a covariance besides noise.
+        The darker side of each segment is on the right of the direction from its first to its
+        second end, as displayed. Every polarity is therefore +1. `reasons` is the largest
+        contribution to each covariance besides noise.
 
     Raises
     ------
     InputError
-        If the argument is not an image, a number is not positive, the lens belongs to another image
-        size, or the response is unknown.
+        If the argument is not an image, a number is not positive, or the response is unknown. If
+        the lens belongs to another image size.
 
     References
     ----------
@@ -163,7 +165,11 @@ def _accept(
     false_alarms: float,
     tuning: SegmentTuning,
 ) -> tuple[Runs, FittedLines, SideSlopes]:
-    """(runs, lines, side slopes) without soft shadows, intensity ramps and noise."""
+    """Remove lines that are soft shadows, intensity ramps or noise.
+
+    Returns (runs, lines, side slopes) of the remaining lines. `blur_px2` is the typical blur
+    variance of edges.
+    """
     slopes = side_slopes(picture.levels, runs, blur_px2, tuning.accept)
     keep = (
         is_sharp(lines, blur_px2, tuning.accept)
@@ -180,7 +186,10 @@ def _accept(
 def _without_neighbours(
     smooth: PyramidLevel, runs: Runs, lines: FittedLines, blur_px2: float, tuning: SegmentTuning
 ) -> tuple[Runs, FittedLines, ErrorModel]:
-    """(runs, lines, error model) after subtraction of the pull of neighbouring edges."""
+    """Correct the edge points for the shift that neighbouring edges cause, and fit the lines again.
+
+    Returns (runs, lines, disturbances of each line).
+    """
     profile_px2 = smooth.kernel_variance_px2 + blur_px2
     overlaps = find_overlaps(runs, lines, profile_px2, tuning.errors)
     points = without_neighbours(runs.points, lines, blur_px2, overlaps)
@@ -198,7 +207,10 @@ def _without_shifts(
     errors: ErrorModel,
     tuning: SegmentTuning,
 ) -> tuple[Runs, FittedLines, tuple[Shifts, Shifts]]:
-    """(runs, lines, shifts) after correction of the shifts by saturation and by shading."""
+    """Correct the positions of lines that saturation or shading shifts.
+
+    Returns (runs, lines, (shifts by saturation, shifts by shading)).
+    """
     saturated = shifts_of_saturated(smooth, runs, lines, errors, tuning.saturation)
     # A clipped side has no slope.
     is_unsaturated = saturated.variance_px2 == 0
@@ -217,7 +229,11 @@ def _without_shifts(
 def _undistort(
     runs: Runs, lines: FittedLines, lens: Intrinsics | None, tuning: SegmentTuning
 ) -> tuple[FittedLines, Bool[np.ndarray, "r"], Callable[[np.ndarray], np.ndarray]]:
-    """(undistorted lines, mask of lines inside the fold of the lens, mapping back to the image)."""
+    """Fit the lines to undistorted edge points.
+
+    Returns (lines, mask of lines with enough points inside the fold of the lens, mapping from
+    undistorted to image pixels).
+    """
     all_lines = np.ones(len(runs.count), dtype=bool)
     if lens is None or not lens.has_distortion:
         return lines, all_lines, np.asarray
@@ -245,7 +261,10 @@ def _is_wanted(
     least_contrast: float,
     tuning: SegmentTuning,
 ) -> Bool[np.ndarray, "r"]:
-    """Mask of the lines that are long, have enough contrast and, unless `arcs`, are no arcs."""
+    """Return the mask of the lines that are long and have enough contrast, (r,).
+
+    Unless `arcs` is True, chords of arcs are excluded.
+    """
     long = lines.pieces.length_px >= tuning.accept.least_length_px
     straight = arcs | is_straight(lines, tuning.accept)
     return straight & (lines.contrast >= least_contrast) & long
@@ -254,9 +273,9 @@ def _is_wanted(
 def _place_ends(
     lines: FittedLines, tuning: SegmentTuning
 ) -> tuple[Float[np.ndarray, "r 2 2"], Float[np.ndarray, "r 2"], NearEnds]:
-    """(ends, their standard deviations along the line, pairs of ends and nearby lines).
+    """Move each end near a crossing with another line to the crossing.
 
-    An end near another line is moved to the crossing.
+    Returns (ends, their standard deviations along the line, pairs of ends and nearby lines).
     """
     pieces = lines.pieces
     near_ends = lines_near_ends(pieces, tuning.ends.snap_px)
@@ -272,7 +291,10 @@ def _covariances(
     along_px: Float[np.ndarray, "r 2"],
     tuning: SegmentTuning,
 ) -> tuple[Float[np.ndarray, "r 4 4"], Shaped[np.ndarray, "r"]]:
-    """(covariances of the ends, largest contribution to each besides noise)."""
+    """Return the covariance of the ends of each line, and its largest contribution besides noise.
+
+    `along_px` are the standard deviations of both ends along the line.
+    """
     noise_px2 = noise_variance(lines.variance_middle_px2, lines.pieces.length_px, tuning.errors)
     variance_px2, common_px2, reasons = inflate_variance(errors, noise_px2, *shifts, tuning.errors)
     off_px2 = np.square(tuning.errors.off_share * errors.off_px)

@@ -21,7 +21,10 @@ def with_junctions(
     near_ends: NearEnds | None = None,
     tuning: SegmentEndTuning = DEFAULT.junctions,
 ) -> Segments:
-    """Return the segments with junctions and chains; `near_ends` as in `find_junctions`."""
+    """Return the segments with their junctions and chains computed.
+
+    `near_ends` is as in `find_junctions`.
+    """
     return eqx.tree_at(
         lambda s: (s.junctions, s.chain),
         segments,
@@ -35,38 +38,40 @@ def find_junctions(
     near_ends: NearEnds | None = None,
     tuning: SegmentEndTuning = DEFAULT.junctions,
 ) -> Junctions:
-    """Compute the points where segments meet: ends on ends, and ends on bodies.
+    """Compute the points of an image where segments meet: two ends, or an end and a middle part.
 
     Parameters
     ----------
     segments : Segments
         Segments of one image.
     near_ends : NearEnds, optional
-        Pairs of ends and lines to test. Default: all that are near each other.
+        Pairs of an end and a line to test. Default: all ends and lines that are near each other.
     tuning : SegmentEndTuning
         Distances and angles.
 
     Returns
     -------
     Junctions
+        Positions with covariance, kinds (L, T, Y, X), and the segments of each junction.
 
     Notes
     -----
-    An end meets another segment if their lines cross within three of the end's sigmas along its
-    segment (at most 8 px). The crossing must lie on the other segment, or as near to its end. Ends
-    that meet, directly or through a third end, form one junction.
+    The end of a segment meets another segment under two conditions. Their lines cross near the end:
+    within three of its sigmas along its segment, at most 8 px. The crossing lies on the other
+    segment or is as near to one of its ends. Ends that meet, directly or through a third end, form
+    one junction.
     """
     ends = np.asarray(segments.endpoints_px, dtype=np.float64)
     count = len(ends)
     pieces = _cut_pieces(ends)
     across, along = _sigmas(segments, pieces.direction)
-    reach_px = np.minimum(tuning.sigmas * along, tuning.most_reach_px)
+    radius_px = np.minimum(tuning.sigmas * along, tuning.most_reach_px)
     if near_ends is None:
-        near_ends = lines_near_ends(pieces, float(reach_px.max(initial=0.0)))
-    line, side, other, _, other_position, _ = endpoint_crossings(pieces, reach_px, near_ends)
+        near_ends = lines_near_ends(pieces, float(radius_px.max(initial=0.0)))
+    line, side, other, _, other_position, _ = endpoint_crossings(pieces, radius_px, near_ends)
     # The end of the other segment near the crossing, or its body.
     to_end = np.abs(other_position[:, None] - pieces.extent_px[other])
-    at_end = to_end < reach_px[other][:, None]
+    at_end = to_end < radius_px[other][:, None]
     other_end = np.where(at_end.any(axis=1), np.argmin(to_end, axis=1), BODY)
 
     both_ends = other_end != BODY
@@ -89,11 +94,12 @@ def find_junctions(
 def collinear_chains(
     segments: Segments, tuning: SegmentEndTuning = DEFAULT.junctions
 ) -> Int[np.ndarray, "n"]:
-    """Number of each segment's chain of collinear pieces across gaps, (n,).
+    """Return the index of the chain that each segment belongs to, (n,).
 
-    Two pieces belong together if their facing ends are at most 30 px apart, and less than the
-    length of the longer piece. Their directions differ by less than four degrees, and each end lies
-    on the other's line within three sigmas. Known polarities must agree.
+    A chain consists of collinear pieces of one edge with gaps between them. Two pieces belong
+    together if the gap is at most 30 px and shorter than the longer piece. Their directions differ
+    by less than four degrees. Each facing end lies on the line of the other piece within three
+    sigmas. Known polarities must be equal.
     """
     ends = np.asarray(segments.endpoints_px, dtype=np.float64)
     pieces = _cut_pieces(ends)
@@ -138,7 +144,10 @@ def _cut_pieces(ends: Float[np.ndarray, "n 2 2"]) -> Pieces:
 def _sigmas(
     segments: Segments, direction: Float[np.ndarray, "n 2"]
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """(across, along): the larger sigma of the two ends, across and along each segment."""
+    """Return the sigma of each segment's ends across and along the segment, (n,) px each.
+
+    Of the two ends, the larger sigma is used.
+    """
     covariance = np.asarray(segments.covariance_px2)
     u, v = direction.T
     across, along = (
@@ -163,7 +172,11 @@ def _assemble(
     across: Float[np.ndarray, "n"],
     tuning: SegmentEndTuning,
 ) -> Junctions:
-    """Build junctions from groups of ends and bodies, sorted by group."""
+    """Build the junctions from their members.
+
+    A member is one end of a segment, or BODY for its middle part. `group` is the junction of each
+    member, sorted.
+    """
     centre, direction, _ = pieces
     begins = np.diff(group, prepend=-1) != 0
     junction, earliest = np.cumsum(begins) - 1, np.flatnonzero(begins)
@@ -190,7 +203,11 @@ def _kinds(
     count: int,
     straight_deg: float,
 ) -> np.ndarray:
-    """Kind of each junction, from its numbers of ends and bodies and from collinear ends."""
+    """Return the kind of each junction: "L", "Y", "X" or "T".
+
+    The kind depends on the numbers of ends and of middle parts, and on whether two ends are
+    collinear. `inward` is the direction from the junction into each segment.
+    """
     ends = np.bincount(junction[end != BODY], minlength=count)
     bodies = np.bincount(junction[end == BODY], minlength=count)
     straight = np.zeros(count, dtype=bool)
@@ -206,7 +223,7 @@ def _with_opposite_ends(
     inward: Float[np.ndarray, "m 2"],
     straight_deg: float,
 ) -> Int[np.ndarray, "k"]:
-    """Junctions at which two segments leave in opposite directions."""
+    """Return the junctions at which two segments leave in opposite directions, (k,)."""
     rows = np.flatnonzero(end != BODY)
     size = np.bincount(junction[rows])
     hits: list[np.ndarray] = []

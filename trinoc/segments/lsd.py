@@ -18,7 +18,7 @@ LSD_SIGMA_ALONG_PX = 2.0  # numerical: as above
 
 
 def find_segments_lsd(image: Shaped[np.ndarray, "..."]) -> Segments:
-    """Detect straight edges by cv2's LSD, with its bias removed.
+    """Detect straight edges with OpenCV's LSD, and correct the constant bias of its positions.
 
     Parameters
     ----------
@@ -28,8 +28,8 @@ def find_segments_lsd(image: Shaped[np.ndarray, "..."]) -> Segments:
     Returns
     -------
     Segments
-        With junctions, chains and side levels. Polarity and contrast are unknown; all segments have
-        the same sigmas.
+        Segments with junctions, chains and side levels. Polarity and contrast are unknown. All
+        segments have the same sigmas.
 
     Raises
     ------

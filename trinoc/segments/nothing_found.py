@@ -15,9 +15,10 @@ _FAR_ACROSS_PX, _SOFT_PX = 16, 2.8  # numerical: for a message only
 
 
 def why_short(image: Shaped[np.ndarray, "..."]) -> str | None:
-    """Explain short segments: sentence with the remedy; None for sharp, progressive images.
+    """Return the sentence that explains short segments and names the remedy, or None.
 
-    Causes are soft edges, interlaced rows and raw mosaics.
+    Causes are blurred edges, interlaced rows and raw mosaics. The result is None for a sharp image
+    with none of these.
 
     Parameters
     ----------
@@ -27,6 +28,7 @@ def why_short(image: Shaped[np.ndarray, "..."]) -> str | None:
     Returns
     -------
     str or None
+        Cause and remedy.
 
     Raises
     ------
@@ -53,7 +55,11 @@ def why_short(image: Shaped[np.ndarray, "..."]) -> str | None:
 
 
 def _strongest_step(grey: Float[np.ndarray, "h w"], separation_px: int) -> float:
-    """The 99.9th percentile of the change of grey level over `separation_px` pixels."""
+    """Return the 99.9th percentile of the grey-level difference between pixels `separation_px`
+    apart.
+
+    Differences along rows and along columns are computed; the larger percentile is returned.
+    """
     steps = (
         grey[:, separation_px:] - grey[:, :-separation_px],
         grey[separation_px:] - grey[:-separation_px],
@@ -62,18 +68,19 @@ def _strongest_step(grey: Float[np.ndarray, "h w"], separation_px: int) -> float
 
 
 def why_nothing(image: Shaped[np.ndarray, "..."], *, least_contrast: float = 7.0) -> str:
-    """Explain the absence of segments: sentence with the remedy.
+    """Return the sentence that explains why no segment was detected, with the remedy.
 
     Parameters
     ----------
     image : (h, w) or (h, w, channels)
-        An image in which `find_segments` finds nothing.
+        Image in which `find_segments` detects no segment.
     least_contrast : float
-        The argument of `find_segments`.
+        As in `find_segments`.
 
     Returns
     -------
     str
+        Cause and remedy.
 
     Raises
     ------

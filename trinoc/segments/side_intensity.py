@@ -16,19 +16,19 @@ _ALONG = np.linspace(0.1, 0.9, 16)  # numerical: samples of a median
 
 
 def with_side_levels(segments: Segments, image: Shaped[np.ndarray, "..."]) -> Segments:
-    """Return segments of another detector with the grey levels on both sides.
+    """Return the segments with the grey levels on both sides, for segments of another detector.
 
     Parameters
     ----------
     segments : Segments
         Segments of the image.
     image : (h, w) or (h, w, channels)
-        The image that they were detected in, as in `find_segments`.
+        Image in which the segments were detected, as in `find_segments`.
 
     Returns
     -------
     Segments
-        With `side_levels`.
+        The segments with `side_levels`.
 
     Raises
     ------
@@ -45,10 +45,10 @@ def side_levels(
     to_image: Callable[[Float[np.ndarray, "p 2"]], np.ndarray] = np.asarray,
     tuning: SegmentEndTuning = DEFAULT.junctions,
 ) -> Float[np.ndarray, "n 2"]:
-    """Median grey level on the right and on the left of each segment, (n, 2).
+    """Return the median grey level on the right and on the left of each segment, (n, 2).
 
     Right and left refer to the direction from the first to the second end, as displayed. `to_image`
-    maps points near segments to pixels of the image, for undistorted segments.
+    maps undistorted points to pixels of the image.
     """
     step = endpoints_px[:, 1] - endpoints_px[:, 0]
     right = np.stack([-step[:, 1], step[:, 0]], axis=1) / np.linalg.norm(step, axis=1)[:, None]

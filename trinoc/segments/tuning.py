@@ -15,7 +15,10 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class ScaleTuning:
-    """Image pyramid: full and half resolution. Check: recall and precision against noise."""
+    """Tuned constants of the search at full and at half resolution.
+
+    Check them by recall and precision against noise (benchmarks/segments.py).
+    """
 
     # Smallest mean ratio of strength to noise of a run at which the fine level is used alone. Below
     # it, edges break into fragments. By hand.
@@ -36,9 +39,9 @@ class ScaleTuning:
 
 @dataclass(frozen=True)
 class AcceptTuning:
-    """Acceptance of sharp, straight edges of the scene.
+    """Tuned constants for the acceptance of lines as sharp, straight edges.
 
-    Check: precision, and "on rims of cylinders".
+    Check them by precision and by "on rims of cylinders" (benchmarks/segments.py).
     """
 
     # Ratio of a profile's variance to the usual one above which an edge is a soft shadow. The
@@ -71,7 +74,11 @@ class AcceptTuning:
 
 @dataclass(frozen=True)
 class EndpointTuning:
-    """Gaps and ends. Check: errors along the segment, at crossings and at free ends."""
+    """Tuned constants of gaps between collinear lines, and of line ends.
+
+    Check them by the errors along the segment, at crossings and at free ends
+    (benchmarks/segments.py).
+    """
 
     # Largest gap between merged collinear pieces, and largest distance of an end from the crossing
     # that it is moved to, px. From the prototype.
@@ -90,12 +97,11 @@ class EndpointTuning:
 
 @dataclass(frozen=True)
 class ErrorTuning:
-    """Variance of a line in addition to noise.
+    """Tuned constants for the variance of a line in addition to noise.
 
-    Check: normalised error across, and share beyond 3 sigma.
-
-    The values make the errors of the affected segments agree with the reported variance on rendered
-    block scenes without shadows, other scenes than the benchmark's.
+    Check them by the normalised error across, and by the share beyond 3 sigma
+    (benchmarks/segments.py). They were chosen so that actual errors agree with the reported
+    variance. The data were rendered block scenes without shadows, which the benchmark does not use.
     """
 
     # Factor of the noise variance, because noise also affects the choice of points. Measured on
@@ -132,9 +138,9 @@ class ErrorTuning:
 
 @dataclass(frozen=True)
 class SaturationTuning:
-    """Prior for edges with a saturated bright side.
+    """Tuned constants and priors for edges with a saturated bright side.
 
-    Check: shift and normalised error of saturated edges.
+    Check them by the shift and the normalised error of saturated edges (benchmarks/segments.py).
     """
 
     # Log of the true over the visible height of a step: mean and standard deviation. Saturated
@@ -164,7 +170,10 @@ class SaturationTuning:
 
 @dataclass(frozen=True)
 class SegmentEndTuning:
-    """Junctions, collinear chains and side levels. By hand. Check: matching of rendered scenes."""
+    """Tuned constants of junctions, collinear chains and side levels, chosen by hand.
+
+    Check them by the matching of rendered scenes.
+    """
 
     # Largest distance at which ends meet, in sigmas of the end, and its upper limit, px.
     sigmas: float = 3.0
@@ -180,7 +189,10 @@ class SegmentEndTuning:
 
 @dataclass(frozen=True)
 class SegmentTuning:
-    """All groups of constants; all reported figures were measured with the defaults."""
+    """All tuned constants of `find_segments`, in groups.
+
+    All reported figures were measured with the default values.
+    """
 
     scales: ScaleTuning = field(default_factory=ScaleTuning)
     accept: AcceptTuning = field(default_factory=AcceptTuning)

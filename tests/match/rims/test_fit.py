@@ -14,7 +14,7 @@ from trinoc.match.rims.circles import (
     move_circle,
     points_on_circles,
 )
-from trinoc.match.rims.rim_answer import FittedRim, _pieces, _public_covariance, cover_circle
+from trinoc.match.rims.rim_answer import FittedRim, _build_pieces, _public_covariance, cover_circle
 from trinoc.match.tuning.every_group import DEFAULT
 from trinoc.numerics.vectors import complete_axes
 
@@ -149,7 +149,7 @@ def test_a_rim_s_covariance_is_that_of_its_centre_normal_and_radius() -> None:
 def test_pieces_move_out_and_up_as_their_circle_does() -> None:
     chords, rim = fitted()
     # Pixels so small that where detectors cut an arc says all along it.
-    pieces = _pieces(rim, chords, 3, 1e-9, DEFAULT.rims)
+    pieces = _build_pieces(rim, chords, 3, 1e-9, DEFAULT.rims)
     assert len(pieces.lines_mm) > 10
     normal, centre = CIRCLE.normal[0], CIRCLE.centre_mm[0]
     for ends, covariance in zip(pieces.lines_mm, pieces.covariance_mm2, strict=True):

@@ -12,7 +12,7 @@ from simulation import Detector, simulate_segments
 from simulation.scenes import see_through_boxes
 from tests.match.made import sure_matches
 from trinoc.geometry.rig import Rig
-from trinoc.match.decoys import SureTracks, _doubt
+from trinoc.match.decoys import SureTracks, _as_suspect
 from trinoc.match.matcher import match_segments
 from trinoc.match.tracks.matches import Matches, MatchStatus
 from trinoc.match.tracks.reliability import assess_matches, scene_extent_mm
@@ -77,7 +77,7 @@ def test_unmatched_segments_of_a_cluttered_scene_are_no_evidence(clutter):
 def test_a_refused_set_is_never_usable(share, count, by_chance):
     matches = sure_matches(share, count)
     chance = [SureTracks(by_chance, 0)] if by_chance else []
-    refused = _doubt(matches, SureTracks(count, 0), chance, "They are exchanged.")
+    refused = _as_suspect(matches, SureTracks(count, 0), chance, "They are exchanged.")
     assessment = assess_matches(refused, {"upper": "Its residuals are a swirl."})
     assert assessment.status is refused.status is MatchStatus.SUSPECT
     assert "They are exchanged." in assessment.sentence

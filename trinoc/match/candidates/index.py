@@ -1,11 +1,11 @@
 """Spatial index of the segments of one view, by position and direction.
 
-The predicted position in a third view is accurate to a fraction of a pixel, but the direction of
-a short pair only to degrees. So the index sorts by position first, in square cells that a
-segment enters wherever it passes. Inside a cell it sorts by direction, in sectors. It has
-several layers: fine sectors for precise predictions, coarse sectors with wider margins for
-others, and one layer for all directions. Images with many segments have one finer layer, because
-rejecting wrong entries takes longer there than building the index.
+A pair predicts the position in a third view to a fraction of a pixel, but the direction of a short
+pair is known only to degrees. The index therefore sorts segments by position first, into all square
+cells that a segment enters. Inside a cell, it sorts segments by direction, into sectors. The index
+has several layers. Fine sectors are for precise predictions, coarse sectors with wider margins for
+others, and one layer contains all directions. Images with many segments have one finer layer,
+because rejecting wrong entries takes longer there than building the index.
 """
 
 import functools
@@ -33,13 +33,19 @@ from trinoc.numerics.vectors import Scalar, Vector2
 
 
 class IndexLayer(NamedTuple):
-    """Resolution of one layer of the index, and the predictions that use it.
+    """One layer of the spatial index, for predictions of a certain accuracy.
 
-    sectors : number of sectors in 180 degrees.
-    slack_rad : largest error of a prediction's direction.
-    sigmas : largest standard deviation of a prediction's position, in units of the typical one of
-        the segments.
-    cell_scale : side of the cells over that of the index.
+    Attributes
+    ----------
+    sectors : int
+        Number of direction sectors in 180 degrees.
+    slack_rad : float
+        Largest direction error of a prediction that uses this layer.
+    sigmas : float
+        Largest position sigma of a prediction that uses this layer, in units of the segments'
+        typical sigma.
+    cell_scale : float
+        Side of the layer's cells, in units of the side `cell_px` that `spatial_index` receives.
     """
 
     sectors: int
@@ -63,14 +69,20 @@ CROWDED_LAYERS = (
 
 
 class Grid(NamedTuple):
-    """Square cells over an image, row by row; fields of length l have one value per layer.
+    """Square cells over an image, numbered row by row, in each of l layers of a spatial index.
 
-    sigma_px : typical standard deviation of the segments.
-    cell_px : side of the cells.
-    columns, rows : number of cells.
-    first : first key of each layer. The last value is a key without entries.
+    In a stack of frames, all attributes have a leading axis of frames.
 
-    All fields have one value per frame of a stack.
+    Attributes
+    ----------
+    sigma_px : ()
+        Typical standard deviation of a segment across itself.
+    cell_px : (l,)
+        Side of the cells of each layer.
+    columns, rows : (l,)
+        Number of cells of each layer along u and along v.
+    first : (l + 1,)
+        First key of each layer. The last value is a key that has no segments.
     """
 
     sigma_px: Float[ArrayLike, "*f"]
@@ -81,10 +93,16 @@ class Grid(NamedTuple):
 
 
 class SpatialIndex(NamedTuple):
-    """Segments sorted by key = first of layer + cell * sectors + sector.
+    """Lists of segments, one list for each cell and direction sector of each layer.
 
-    start, count : first entry and number of entries of each key.
-    segment : the entries.
+    The key of a list is first key of the layer + cell * sectors + sector.
+
+    Attributes
+    ----------
+    start, count : (keys,)
+        Position of each list in `segment`, and its length.
+    segment : (entries,)
+        Segment indices, list after list.
     """
 
     grid: Grid
@@ -103,20 +121,30 @@ def spatial_index(
     frame: Int[np.ndarray, "n"] | None = None,
     layers: tuple[IndexLayer, ...] = LAYERS,
 ) -> SpatialIndex:
-    """Build the index of the segments of a view.
+    """Build the spatial index of the segments of a view.
 
-    Each segment enters, in each layer, every cell that it passes within the margin. There it enters
-    each sector within `slack_rad` plus the layer's slack of its direction.
+    In each layer, a segment is listed in every cell within its margin. In these cells, the segment
+    is listed in several sectors: those within `slack_rad`, plus the layer's `slack_rad`, of its
+    direction.
 
     Parameters
     ----------
-    ends_px : ends of the segments, (n, 2, 2).
-    slack_rad : direction error of each segment, (n,).
-    margins_px : margin of each segment in each layer, (l, n).
-    size_px : width and height of the image, of each frame.
-    cell_px : side of the cells of the finest layer.
-    sigma_px : typical standard deviation of the segments.
-    frame : frame of each segment in a stack. Each frame has its own cells.
+    ends_px : (n, 2, 2)
+        Ends of the segments.
+    slack_rad : (n,)
+        Direction error of each segment.
+    margins_px : (l, n)
+        Margin of each segment in each layer.
+    size_px : (2,) or (f, 2)
+        Width and height of the image, for each frame of a stack.
+    cell_px : float or (f,)
+        Side of the cells of a layer with `cell_scale` 1.
+    sigma_px : float or (f,)
+        Typical standard deviation of a segment across itself.
+    frame : (n,), optional
+        Frame of each segment in a stack. Each frame has its own cells.
+    layers : tuple of IndexLayer
+        Layers of the index, the finest first.
     """
     grid = _grid(size_px, np.asarray(cell_px, dtype=np.float64), np.asarray(sigma_px), layers)
     # Grid values of each segment's frame.
@@ -160,9 +188,10 @@ def spatial_index(
 
 
 def _half_turn_fraction(u: Any, v: Any) -> Any:
-    """Monotonic function of a direction's angle from 0 to 180 degrees (v >= 0), from 0 to 1.
+    """Map the direction (u, v), v >= 0, to a number that grows with its angle: 0 at 0, 1 at 180
+    degrees.
 
-    It needs no arc tangent, but is not linear in the angle.
+    The function is not linear in the angle. It needs no arc tangent, so it is fast.
     """
     xp = array_namespace(u, v)
     share = v / (abs(u) + v) / 2
@@ -195,10 +224,10 @@ def _cells_near_segments(
     cell_px: Float[np.ndarray, "n"],
     shape: Int[np.ndarray, "n 2"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """All cells within the margin of each segment, and a few more: (segment, column, row).
+    """Return all cells within the margin of each segment, as arrays (segment, column, row).
 
-    `shape` is the number of columns and rows for each segment. Cells outside the image are never
-    listed.
+    A few cells farther away are included; cells outside the image are not. `shape` is the number of
+    columns and rows of the grid of each segment.
     """
     steep = np.abs(ends_px[:, 1, 1] - ends_px[:, 0, 1]) > np.abs(
         ends_px[:, 1, 0] - ends_px[:, 0, 0]
@@ -243,7 +272,7 @@ def _cells_near_segments(
 
 
 def layers_of_grid(grid: Grid) -> tuple[IndexLayer, ...]:
-    """Layers of an index, from the shape of its grid."""
+    """Return the layers that `grid` was built with, identified by their number."""
     return LAYERS if np.shape(grid.cell_px)[-1] == len(LAYERS) else CROWDED_LAYERS
 
 
@@ -254,15 +283,16 @@ def search_keys(
     slack_rad: Scalar,
     sigma_px: Scalar,
 ) -> list[ArrayLike]:
-    """Keys under which to search for a segment that passes each point in a given direction.
+    """Return, for each point, the key of the index under which to search for a predicted segment.
 
-    The keys belong to the finest layer that allows for the errors. The key without entries is
-    returned if no layer does, or if a point lies outside the image.
+    The key belongs to the finest layer that allows for the errors of the prediction. The result is
+    the key without segments if no layer does, or if the point lies outside the image.
 
     Parameters
     ----------
+    grid : cells of the index.
     points_px : points of the predicted segment.
-    direction : direction of the segment, with either sign.
+    direction : direction of the predicted segment, with either sign.
     slack_rad : direction error of the prediction.
     sigma_px : standard deviation of the points.
     """
@@ -303,7 +333,10 @@ def search_keys(
 def look_up_segments(
     index: SpatialIndex, key: Int[np.ndarray, "q"]
 ) -> tuple[Int[np.ndarray, "hits"], Int[np.ndarray, "hits"]]:
-    """List all segments under the given keys: (position of the key, segment)."""
+    """Return the segments listed under the keys (q,), as two arrays of equal length.
+
+    The first array is the position in `key` of each hit, the second array the segment.
+    """
     count = index.count[key]
     queries = np.flatnonzero(count).astype(np.int32)
     count = count[queries].astype(np.int32)
@@ -326,7 +359,7 @@ MANY_SEGMENTS = 1 << 14
 def index_segments(
     lines: SegmentTable, view: int, count: int, tuning: CandidateTuning = DEFAULT.candidates
 ) -> SpatialIndex:
-    """Build the index of all segments of a view."""
+    """Build the spatial index of the first `count` segments of a view. Later rows are padding."""
     ends, size = np.asarray(lines.ends_px)[view, :count], np.asarray(lines.size_px)[..., view, :]
     length, across = np.asarray(lines.length_px), np.asarray(lines.across_px2)
     sigma = np.sqrt(across[view, :count, [0, 1], [0, 1]].max(axis=0))
@@ -353,7 +386,11 @@ def index_segments(
 def keys_of_prediction(
     grid: Grid, prediction: Prediction, tuning: CandidateTuning = DEFAULT.candidates
 ) -> list[Int[ArrayLike, ""]]:
-    """Keys under which to search for each sample point of a prediction."""
+    """Return the key to search at each sample point of a predicted segment.
+
+    Samples that need no search get the key without segments: repeated keys, and samples of short or
+    impossible predictions.
+    """
     du, dv = prediction.u1 - prediction.u0, prediction.v1 - prediction.v0
     length = jnp.sqrt(du * du + dv * dv)
     slack = (
@@ -377,6 +414,10 @@ def keys_of_prediction(
 def find_segments_near_predictions(
     table: SpatialIndex, keys: Int[np.ndarray, "s p"]
 ) -> tuple[Int[np.ndarray, "hits"], Int[np.ndarray, "hits"]]:
-    """Segments near a sample point of each prediction: (prediction, segment); some pairs repeat."""
+    """Return the segments listed near each prediction, as arrays (prediction, segment).
+
+    `keys` (s, p) are the keys of s sample points of p predictions. A segment that is near two
+    samples is returned twice.
+    """
     query, segment = look_up_segments(table, keys.reshape(-1))
     return query % keys.shape[1], segment

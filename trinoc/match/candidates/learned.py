@@ -43,7 +43,10 @@ from trinoc.numerics.vectors import add3, times_matrix, vector3
 
 
 class Region(NamedTuple):
-    """Box in space: low_mm < axes @ point < high_mm, with orthonormal rows of `axes`."""
+    """Box in space: the points with low_mm < axes @ point < high_mm.
+
+    The rows of `axes` are orthonormal, in the world frame.
+    """
 
     axes: Float[np.ndarray, "3 3"]
     low_mm: Float[np.ndarray, "3"]
@@ -51,8 +54,9 @@ class Region(NamedTuple):
 
 
 def bound_region(ends_mm: Float[np.ndarray, "m 2 3"], tuning: ScoutTuning) -> Region:
-    """Box along the principal axes of the given ends that contains nearly all of them, plus a
-    margin.
+    """Return the box that contains nearly all of the given line ends, widened by a margin.
+
+    The sides of the box are parallel to the principal axes of the ends.
     """
     points = ends_mm.reshape(-1, 3)
     axes = np.linalg.eigh(np.cov(points.T))[1].T
@@ -64,10 +68,11 @@ def bound_region(ends_mm: Float[np.ndarray, "m 2 3"], tuning: ScoutTuning) -> Re
 
 
 class RegionOfPencil(NamedTuple):
-    """Region in the frame of a pencil.
+    """Box in space, in the frame of a pencil of epipolar planes.
 
-    For a point with homogeneous coordinates (slope, cos, sin, 1 / radius), `axes` @ ray lies
-    between `low` / radius and `high` / radius.
+    In this frame, a point is radius * ray with ray = (slope, cos(phi), sin(phi)). `radius` is its
+    distance from the baseline, phi the angle of its epipolar plane. The point is in the box if low
+    / radius < axes @ ray < high / radius.
     """
 
     axes: Float[ArrayLike, "3 3"]
@@ -76,7 +81,7 @@ class RegionOfPencil(NamedTuple):
 
 
 def region_of_pencil(region: Region, pencil: Pencil) -> RegionOfPencil:
-    """Convert a region to the frame of a pencil."""
+    """Convert a box from the world frame to the frame of a pencil."""
     origin = region.axes @ np.asarray(pencil.origin_mm)
     axes = region.axes @ np.asarray(pencil.frame).T
     return RegionOfPencil(axes, region.low_mm - origin, region.high_mm - origin)
@@ -90,14 +95,17 @@ def select_pairs_in_region(
     j: Int[np.ndarray, "p"],
     tuning: CandidateTuning,
 ) -> tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]:
-    """Return the pairs (i, j) whose common part lies in a region."""
+    """Return the pairs (i, j) of segments whose common part in space lies in the box.
+
+    `i` are segments of the first view, `j` segments of the second view.
+    """
     pair = inputs.view.baseline_mm, inputs.first, inputs.second
 
     def lies_inside(i: np.ndarray, j: np.ndarray) -> ArrayLike:
         return _lies_in_region(region, *pair, i, j, tuning=tuning)
 
-    kept_rows = np.flatnonzero(in_blocks(lies_inside, block_size(lines, PAIRS_IN_BLOCK), i, j))
-    return i[kept_rows], j[kept_rows]
+    selected_rows = np.flatnonzero(in_blocks(lies_inside, block_size(lines, PAIRS_IN_BLOCK), i, j))
+    return i[selected_rows], j[selected_rows]
 
 
 @partial(kept_jit, static_argnames=("tuning",))
@@ -110,7 +118,7 @@ def _lies_in_region(
     j: Int[ArrayLike, "p"],
     tuning: CandidateTuning,
 ) -> Bool[ArrayLike, "p"]:
-    """Mask of the pairs with a common part whose two ends lie in a region."""
+    """Return the mask of the pairs (i, j) whose common part exists and has both ends in the box."""
     part = cut_pair(baseline_mm, take_segments(first, i), take_segments(second, j), tuning)
     is_inside = part.possible
     for bounding_plane in (part.at_low, part.at_high):
@@ -125,12 +133,19 @@ def _lies_in_region(
 
 
 class SearchPrior(NamedTuple):
-    """Parameters of a restricted search.
+    """Restrictions of a search for candidates.
 
-    region : box to search, None for all space.
-    mixture : parameters of the evidence.
-    least_log_odds : candidates below these log odds are discarded.
-    ends_px : pairs must agree at one end within this distance. None means no such restriction.
+    Attributes
+    ----------
+    region : Region or None
+        Box that contains the lines; None for all space.
+    mixture : MixtureParameters
+        Parameters for the log odds of candidates.
+    least_log_odds : float
+        Candidates with smaller log odds are discarded.
+    ends_px : float or None
+        Limit for the distance between corresponding ends of the two segments of a pair, along the
+        segment. At least one of the two distances must be below the limit. None for no limit.
     """
 
     region: Region | None
@@ -146,10 +161,10 @@ Screen = tuple[SegmentTable, Int[ArrayLike, "3"], Pencil, ClutterModel]
 def likely_triples(
     screen: Screen, triple: Int[np.ndarray, "h 3"], prior: SearchPrior, tuning: MatchTuning
 ) -> Int[np.ndarray, "_ 3"]:
-    """Return the triples of one frame that may be likely.
+    """Return the triples of one frame whose approximate log odds exceed `prior.least_log_odds`.
 
-    The bound uses the line of their pair instead of the fit to all three, and assumes that
-    darker sides agree. With known side levels all triples may be likely.
+    The approximation uses the line of the first two segments instead of the fit to all three, and
+    assumes equal polarities. If side levels are known, all triples are returned.
     """
     if np.isfinite(np.asarray(screen[0].sides)).any():
         return triple
@@ -184,7 +199,11 @@ def _log_odds(
     end_tuning: EndTuning,
     evidence_tuning: EvidenceTuning,
 ) -> Float[ArrayLike, "h"]:
-    """Log odds of each triple without the constant prior; -inf if it cannot be one line."""
+    """Approximate log odds of each triple, one line against clutter, without constant terms.
+
+    The result is -inf if the three segments cannot be images of one line. `log_shares` are the logs
+    of the mixture weights of the error's tail (k,) and of the end components (c,).
+    """
     segments = triple.T
     planes_of_triple = segment_planes(lines, clutter, order, segments)
     rows = take_segments(planes.first, segments[0]), take_segments(planes.second, segments[1])

@@ -39,7 +39,12 @@ def passes_third_view_gate(
     across_px2: Float[ArrayLike, "2 2"],
     tuning: CandidateTuning = DEFAULT.candidates,
 ) -> Bool[ArrayLike, ""]:
-    """Test whether a segment overlaps the predicted one and passes the chi-square gate there."""
+    """True if a segment overlaps the predicted segment and agrees with its position and direction.
+
+    The chi-square of the distances between the two lines, at both ends of their overlap, must be
+    below a limit. `line` are the coefficients of the segment's line. `across_px2` is the covariance
+    of the segment's ends across the segment.
+    """
     p = prediction
     du, dv = p.u1 - p.u0, p.v1 - p.v0
     squared = du * du + dv * dv
@@ -74,8 +79,20 @@ def passes_third_view_gate(
 
 
 class Order(NamedTuple):
-    """One ordering of the views: its pencil, the inputs of predictions, and the index of the
-    third view.
+    """Search data for one ordering (first, second, third) of three views.
+
+    Pairs of segments of the first and the second view predict segments of the third view.
+
+    Attributes
+    ----------
+    order : (3,)
+        Indices of the views.
+    planes : Pencil
+        Pencil of epipolar planes of the first two views.
+    inputs : PredictionInput
+        Data of the predictions.
+    table : SpatialIndex
+        Spatial index of the third view's segments.
     """
 
     order: Int[np.ndarray, "3"]
@@ -85,7 +102,21 @@ class Order(NamedTuple):
 
 
 class Orders(NamedTuple):
-    """Tables of three of the views, and their three orderings. `counts` are of all views."""
+    """Segments of three views, and the search data of their three cyclic orderings.
+
+    Attributes
+    ----------
+    views : (int, int, int)
+        The three views, as indices among all views.
+    counts : list of int
+        Number of segments of every view, not only of the three.
+    lines : SegmentTable
+        Segments of the three views.
+    clutter : ClutterModel
+        Clutter model of the three views.
+    orders : list of Order
+        Search data of each ordering.
+    """
 
     views: tuple[int, int, int]
     counts: list[int]
@@ -106,7 +137,7 @@ def prepare_orders(
     clutter: ClutterModel,
     tuning: MatchTuning = DEFAULT,
 ) -> Orders:
-    """Prepare the search for triples among three of the views."""
+    """Build the search data of the three cyclic orderings of three views."""
     # Tables always have three views, so that kernels are compiled once.
     if views != tuple(range(len(counts))):
         lines, clutter = _take_views(lines, clutter, np.array(views))
@@ -146,9 +177,12 @@ def gate_triples(
     tuning: CandidateTuning,
     any_order: bool = False,
 ) -> Int[np.ndarray, "h 3"]:
-    """Triples (h, 3) whose third segment passes the gate, in the order of views of `inputs`.
+    """Return the triples (h, 3) of each pair (i, j) and every third segment that its prediction
+    admits.
 
-    With `any_order`, pairs that predict worse than another pair of the triple are included.
+    The columns of the result are segments of the first, second and third view of `inputs`. A pair
+    predicts only if its interpretation planes cross at nearly the widest angle of the three planes.
+    With `any_order`, other precise pairs predict too.
     """
     size = block_size(lines, PAIRS_IN_BLOCK)
     triples = [np.zeros((0, 3), dtype=np.int32)]

@@ -16,17 +16,28 @@ from trinoc.numerics.tables import take_rows
 
 
 class Candidates(NamedTuple):
-    """Triples, or pairs, that can be one line; one row for each.
+    """Table of candidates: triples or pairs of segments that can be images of one line.
 
-    index : (m, v) segment in each view, -1 in views that take no part.
-    interval : (m, v, 2) common part on each segment.
-    ends_mm : (m, 2, 3) ends in space, world frame.
-    chi_square, log_density, union_ends_mm, union_covariance_mm2, px_per_mm : as in TripleEvidence.
-    end_log : result of `end_evidence`.
-    side_log : result of `side_evidence`.
-    expected_views : number of views that should show a pair and do not; 0 for triples.
-    crossing_sine : sine of the angle between the interpretation planes of a pair; 0 for triples.
-    frame : frame of each candidate in a stack.
+    Attributes
+    ----------
+    index : (m, v)
+        Segment of each view; -1 for views that are not part of the candidate.
+    interval : (m, v, 2)
+        Common part on each segment: positions from 0 at its first end to 1 at its second.
+    ends_mm : (m, 2, 3)
+        Ends of the common part in space, world frame.
+    chi_square, log_density, union_ends_mm, union_covariance_mm2, px_per_mm : (m, ...)
+        As in TripleEvidence.
+    end_log : (m, 2, c)
+        Result of `end_evidence` for both ends.
+    side_log : (m, s)
+        Result of `side_evidence`.
+    expected_views : (m,)
+        Number of other views whose image contains the line of a pair; 0 for triples.
+    crossing_sine : (m,)
+        Sine of the angle between the interpretation planes of a pair; 0 for triples.
+    frame : (m,)
+        Frame of each candidate in a stack of frames; None for a single frame.
     """
 
     index: Int[np.ndarray, "m v"]
@@ -44,7 +55,7 @@ class Candidates(NamedTuple):
     frame: Int[np.ndarray, "m"] | None = None
 
     def take(self, rows: np.ndarray) -> "Candidates":
-        """Return the rows of the given indices, in that order, or where a mask is true."""
+        """Return the candidates with the given indices, or those for which a mask is true."""
         return take_rows(self, rows)
 
 
@@ -55,15 +66,21 @@ def build_candidates(
     evidence_columns: Iterable[np.ndarray],
     tuning: MatchTuning,
 ) -> Candidates:
-    """Build the table of candidates from the result of the kernels.
+    """Build the table of candidates from the columns that the compiled programs return.
 
     Parameters
     ----------
-    lines : tables of all views.
-    views : the views of the segments, (k,).
-    segments : (m, k) one segment per view.
-    evidence_columns : fields from `interval` (of these views) to `px_per_mm`, then those of
-        pairs.
+    lines : SegmentTable
+        Segments of all views.
+    views : (k,)
+        The views that the candidates have segments in.
+    segments : (m, k)
+        Segment of each candidate in each of these views.
+    evidence_columns : iterable of arrays
+        The columns interval, ends_mm, chi_square, log_density, end_log, union_ends_mm,
+        union_covariance_mm2 and px_per_mm. For pairs, expected_views and crossing_sine follow.
+    tuning : MatchTuning
+        Tuned constants.
     """
     (
         view_interval,
@@ -88,7 +105,10 @@ def build_candidates(
 
 
 def no_candidates(views: int, is_stack: bool = False) -> Candidates:
-    """Empty table for the given number of views, of one frame or of a stack."""
+    """Return an empty table of candidates for the given number of views.
+
+    With `is_stack`, the table has the column `frame`, as for a stack of frames.
+    """
     return Candidates(
         np.zeros((0, views), dtype=np.int64),
         np.zeros((0, views, 2)),
@@ -111,7 +131,10 @@ def prior_log_odds(
     mixture: MixtureParameters,
     tuning: EvidenceTuning = DEFAULT.evidence,
 ) -> Float[np.ndarray, "m"]:
-    """Log odds of each candidate from its own evidence, (m,), with the parameters of its frame."""
+    """Return the log odds of each candidate before rivals and junctions, (m,).
+
+    `mixture` has one set of parameters for each frame of a stack.
+    """
     c = candidates
     return log_odds(
         c.chi_square, c.log_density, c.end_log, c.ends_mm, c.side_log, mixture, tuning, c.frame
@@ -121,10 +144,10 @@ def prior_log_odds(
 def in_depth_range(
     candidates: Candidates, lines: SegmentTable, depth_range_mm: tuple[float, float] | None
 ) -> Bool[np.ndarray, "m"]:
-    """Mask of the candidates whose ends lie in the depth range of every camera that sees them,
-    (m,).
+    """Return the mask (m,) of the candidates with both ends in the depth range of their cameras.
 
-    Without a range, any positive depth is allowed.
+    The depths before every camera with a segment of the candidate must be in the range. Without a
+    range, any positive depth is allowed.
     """
     matrix = take_matrices(lines, candidates.frame)
     depth = matrix[..., 2, :3] @ candidates.ends_mm.mT + matrix[..., 2, 3:]

@@ -35,11 +35,16 @@ from trinoc.numerics.vectors import (
 
 
 class Prediction(NamedTuple):
-    """Image, in a third view, of the common part of a pair of segments.
+    """Predicted segments in a third view, each from one pair of segments of two other views.
 
-    possible : mask of the pairs that can be one line and are the ones to predict from.
-    u0, v0, u1, v1 : ends in undistorted pixels.
-    c00, c01, c11 : covariance of the two ends across the image, px^2.
+    Attributes
+    ----------
+    possible : (p,)
+        False for pairs that cannot be one line, or that another pair of the triple replaces.
+    u0, v0, u1, v1 : (p,)
+        Ends of the predicted segment, undistorted pixels.
+    c00, c01, c11 : (p,)
+        Variances and covariance of the two ends across the predicted segment, px^2.
     """
 
     possible: Bool[ArrayLike, "*p"]
@@ -53,10 +58,20 @@ class Prediction(NamedTuple):
 
 
 class ThirdView(NamedTuple):
-    """Projection of the points of a pencil into a third view; one per frame of a stack.
+    """Projection from the frame of a pencil into a third view.
 
-    direction_matrix : maps a direction in the pencil's frame to homogeneous pixels.
-    origin : homogeneous pixel of the pencil's origin.
+    In a stack of frames, all attributes have a leading axis of frames.
+
+    Attributes
+    ----------
+    direction_matrix : (3, 3)
+        Matrix from a direction in the pencil's frame to homogeneous pixels.
+    origin : (3,)
+        Homogeneous pixel of the pencil's origin, the centre of its first view.
+    baseline_mm : ()
+        Distance of the camera centres of the pencil.
+    size_px : (2,)
+        Width and height of the third view's image.
     """
 
     direction_matrix: Float[ArrayLike, "*f 3 3"]
@@ -66,7 +81,7 @@ class ThirdView(NamedTuple):
 
 
 def third_view(lines: SegmentTable, pencil: Pencil, third: Int[ArrayLike, ""] | int) -> ThirdView:
-    """Projection of the points of a pencil into view `third`."""
+    """Build the projection from the frame of a pencil into the view with index `third`."""
     xp = array_namespace(lines, pencil, third)
     matrix, size_px = xp.asarray(lines.matrix_px), xp.asarray(lines.size_px)
     left_block = matrix[..., third, :, :3]
@@ -83,10 +98,11 @@ def predict(
     tuning: CandidateTuning = DEFAULT.candidates,
     any_order: Bool[ArrayLike, ""] | bool = False,
 ) -> Prediction:
-    """Predict the image of a pair of segments in the third view.
+    """Predict the segment of the third view that corresponds to one segment in each of two views.
 
-    A pair predicts only if its planes cross at nearly the widest angle of the three. With
-    `any_order`, other pairs predict too if their prediction is precise.
+    A prediction is possible only if the interpretation planes of `a` and `b` cross at nearly the
+    widest angle of the three planes. With `any_order`, other pairs predict too if their prediction
+    is precise.
     """
     part = cut_pair(view.baseline_mm, a, b, tuning)
     direction_matrix, origin = view.direction_matrix, vector3(view.origin)
@@ -146,8 +162,9 @@ def _crosses_best(
     b: PencilSegments,
     tuning: CandidateTuning,
 ) -> Bool[ArrayLike, ""]:
-    """Test whether the interpretation planes of the pair cross at nearly the widest angle of the
-    three.
+    """True if the planes of `a` and `b` cross at nearly the widest angle of the three planes.
+
+    The third interpretation plane is that of the predicted segment in the third view.
     """
     normal_c = unit3(times_matrix(direction_matrix.T, cross3(image_low, image_high)))
     crossings = [cross3(*both) for both in combinations((a.normal, b.normal, normal_c), 2)]
@@ -161,12 +178,18 @@ ROUNDING = 4 * float(np.finfo(np.float64).eps)
 
 
 class PredictionInput(NamedTuple):
-    """Inputs of the predictions from two views in a third.
+    """Data for predictions from two views in a third view.
 
-    first, second : segments in the pencil of the first two views.
-    view : projection of the pencil into the third view.
-    segments : segments of the third view, one row each: ends_px, line, across_px2.
-    frame : frame of each segment of the first view in a stack.
+    Attributes
+    ----------
+    first, second : PencilSegments
+        Segments of the first two views in their pencil of epipolar planes.
+    view : ThirdView
+        Projection from the frame of the pencil into the third view.
+    segments : (n, 11)
+        Segments of the third view. A row contains ends_px (4), line (3) and across_px2 (4).
+    frame : (n,) or None
+        Frame of each segment of the first view in a stack.
     """
 
     first: PencilSegments
@@ -179,7 +202,7 @@ class PredictionInput(NamedTuple):
 def prepare_order(
     lines: SegmentTable, order: Int[np.ndarray, "3"]
 ) -> tuple[Pencil, PredictionInput]:
-    """Pencil of the first two views of an ordering, and the inputs of predictions in the third."""
+    """Build the pencil of the first two views of an ordering, and the data of its predictions."""
     first, second, third = order.tolist()
     pencil_of_pair = build_pencil(lines, first, second)
     rounding_variance = rounding_px(np.asarray(lines.matrix_px), third) ** 2
@@ -209,5 +232,8 @@ def _with_rounding(segments: PencilSegments) -> PencilSegments:
 def rounding_px(
     matrix_px: Float[ArrayLike, "*f v 3 4"], view: Int[ArrayLike, ""] | int
 ) -> Float[ArrayLike, "*f"]:
-    """Rounding error of positions in a view, px; one per frame of a stack."""
+    """Return the error of pixel coordinates in a view due to floating-point rounding, px.
+
+    In a stack of frames, the result has one value for each frame.
+    """
     return ROUNDING * abs(matrix_px[..., view, :2, :3]).sum(axis=(-2, -1))

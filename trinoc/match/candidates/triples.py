@@ -62,17 +62,18 @@ def evaluate_triples(
     clutter: ClutterModel,
     tuning: MatchTuning,
 ) -> Candidates:
-    """Evaluate triples, given as segments in the views of an ordering, and return the possible
-    ones.
+    """Compute the evidence of triples (h, 3), and return the triples that can be one line.
+
+    The columns of `triple` are segments of the views in the sequence of `order`.
     """
 
     def evaluate(triple: np.ndarray) -> tuple[ArrayLike, ArrayLike]:
         fitted = _fit_triples(lines, order, planes, triple, clutter, tuning=tuning.candidates)
         return _triple_evidence(*fitted, tuning=tuning.candidates, ends=tuning.ends)
 
-    kept_rows, columns = select_in_blocks(evaluate, block_size(lines, TRIPLES_IN_BLOCK), triple)
+    selected_rows, columns = select_in_blocks(evaluate, block_size(lines, TRIPLES_IN_BLOCK), triple)
     return build_candidates(
-        lines, order, triple[kept_rows], split_columns(columns, _SHAPES), tuning
+        lines, order, triple[selected_rows], split_columns(columns, _SHAPES), tuning
     )
 
 
@@ -85,10 +86,10 @@ def _fit_triples(
     clutter: ClutterModel,
     tuning: CandidateTuning,
 ) -> tuple[SegmentPlanes, tuple[Vector3, Vector3], Bool[ArrayLike, "h"]]:
-    """Fit a line to each triple.
+    """Fit a line in space to the three segments of each triple.
 
-    Returns the segments with their planes, the two ends of the line, and the mask of possible
-    lines.
+    Returns (segments with the data of their cameras, the two ends of each line, mm, mask of the
+    triples that can be one line).
     """
     segments = triple.T
     planes_of_triple = segment_planes(lines, clutter, order, segments)
@@ -106,9 +107,10 @@ def _triple_evidence(
     tuning: CandidateTuning,
     ends: EndTuning,
 ) -> tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]:
-    """Evidence of each triple on the line fitted to all three: (mask of possible ones, columns).
+    """Compute the evidence of each triple on the line fitted to its three segments.
 
-    The result does not depend on the pair that found the triple.
+    Returns the mask of possible triples, and the columns of `_SHAPES` as one array (c, h). The
+    result does not depend on which pair predicted the triple.
     """
     evidence = triple_evidence(planes_of_triple, fitted_mm, tuning)
     columns = (
@@ -135,7 +137,11 @@ def trinocular_candidates(
     clutter: ClutterModel,
     tuning: MatchTuning = DEFAULT,
 ) -> Candidates:
-    """All candidate triples of three views, each found from the pair of views that crosses best."""
+    """Return all candidate triples of three views.
+
+    Each triple is predicted by the two segments whose interpretation planes cross at the widest
+    angle.
+    """
     return search_candidates(prepare_orders(lines, views, counts, clutter, tuning), tuning)
 
 
@@ -150,36 +156,42 @@ def search_candidates(
 
     Parameters
     ----------
-    prior : restricts the search to its region and to likely candidates.
-    rows : for each view, the segments that may come first in a pair, and those that may come
-        second.
+    orders : Orders
+        Search data of the three orderings of the views.
+    tuning : MatchTuning
+        Tuned constants.
+    prior : SearchPrior, optional
+        Restricts the search to a box in space and to likely candidates.
+    rows : (first, second), optional
+        For each view, the segments to use as the first member of a pair, and those to use as the
+        second. Default: all segments.
     """
     counts = orders.counts_of_three
-    all_rows = tuple(np.arange(number) for number in counts)
+    all_rows = tuple(np.arange(count) for count in counts)
     first, second = (all_rows, all_rows) if rows is None else rows
     parts = [no_candidates(3, orders.lines.frame is not None)]
-    triple_numbers = np.zeros(0, np.int64)
+    all_ids = np.zeros(0, np.int64)
     for order in orders.orders:
-        number_parts = [triple_numbers]
+        id_parts = [all_ids]
         pair = first[order.order[0]], second[order.order[1]]
-        for number, part in _search_ordering(orders, order, triple_numbers, tuning, prior, pair):
-            number_parts.append(number)
+        for ids, part in _search_ordering(orders, order, all_ids, tuning, prior, pair):
+            id_parts.append(ids)
             parts.append(part)
             if sum(len(part.index) for part in parts) > tuning.candidates.max_candidates:
                 all_parts = concatenate_rows(parts)
                 odds = _log_odds_without_position(all_parts, float(np.mean(counts)), tuning)
                 parts = [all_parts.take(odds > np.median(odds))]
-        triple_numbers = np.sort(np.concatenate(number_parts))
+        all_ids = np.sort(np.concatenate(id_parts))
     candidates = concatenate_rows(parts)
-    candidates = candidates.take(np.argsort(_number_triples(candidates.index, counts)))
+    candidates = candidates.take(np.argsort(_triple_ids(candidates.index, counts)))
     index = np.full((len(candidates.index), len(orders.counts)), -1)
     interval = np.zeros((len(candidates.index), len(orders.counts), 2))
     index[:, orders.views], interval[:, orders.views] = candidates.index, candidates.interval
     return candidates._replace(index=index, interval=interval)
 
 
-def _number_triples(index: Int[np.ndarray, "m 3"], counts: list[int]) -> Int[np.ndarray, "m"]:
-    """Unique number of each triple."""
+def _triple_ids(index: Int[np.ndarray, "m 3"], counts: list[int]) -> Int[np.ndarray, "m"]:
+    """Return an integer for each triple, unique among all triples of the three views."""
     i, j, k = index.T.astype(np.int64)
     return (i * counts[1] + j) * counts[2] + k
 
@@ -187,19 +199,19 @@ def _number_triples(index: Int[np.ndarray, "m 3"], counts: list[int]) -> Int[np.
 def _search_ordering(
     orders: Orders,
     order_input: Order,
-    known_numbers: Int[np.ndarray, "t"],
+    earlier_ids: Int[np.ndarray, "t"],
     tuning: MatchTuning,
     prior: SearchPrior | None,
     pair: tuple[Int[np.ndarray, "n"], Int[np.ndarray, "m"]],
 ) -> Iterator[tuple[Int[np.ndarray, "_"], Candidates]]:
-    """Yield blocks of candidates from one ordering: (numbers of the triples, candidates).
+    """Yield blocks of (result of `_triple_ids`, candidates) from one ordering of the views.
 
-    Triples in `known_numbers` are skipped: another ordering that crosses about as well has found
-    them.
+    Triples with an id in `earlier_ids` are skipped, because another ordering has predicted them.
+    `pair` are the segments of the first view and of the second view to combine.
     """
-    lines, clutter, numbers = orders.lines, orders.clutter, orders.counts_of_three
+    lines, clutter, counts = orders.lines, orders.clutter, orders.counts_of_three
     order, planes, inputs, table = order_input
-    mean_count = float(np.mean(numbers))
+    mean_count = float(np.mean(counts))
     region, screen = None, None
     if prior is not None:
         screen = jax.device_put((lines, order, planes, clutter))
@@ -211,10 +223,10 @@ def _search_ordering(
         # The pair whose ends agree need not be the pair that crosses best.
         any_order = ends_px is not None
         triple = gate_triples(lines, inputs, table, i, j, tuning.candidates, any_order)
-        if len(known_numbers):
-            number = _number_triples(triple[:, np.argsort(order)], numbers)
-            position = np.minimum(np.searchsorted(known_numbers, number), len(known_numbers) - 1)
-            triple = triple[known_numbers[position] != number]
+        if len(earlier_ids):
+            ids = _triple_ids(triple[:, np.argsort(order)], counts)
+            position = np.minimum(np.searchsorted(earlier_ids, ids), len(earlier_ids) - 1)
+            triple = triple[earlier_ids[position] != ids]
         if prior is not None and screen is not None:
             triple = likely_triples(screen, triple, prior, tuning)
         for part in blocks(len(triple), TRIPLES_AT_A_TIME):
@@ -223,11 +235,11 @@ def _search_ordering(
             # stack are small, so they need no pruning.
             is_large = lines.frame is None and prior is None
             is_large = is_large and len(candidates.index) > tuning.candidates.prune_above
-            number = _number_triples(candidates.index, numbers)
+            ids = _triple_ids(candidates.index, counts)
             if is_large:
                 odds = _log_odds_without_position(candidates, mean_count, tuning)
                 candidates = candidates.take(odds > tuning.candidates.prune_log_odds)
-            yield number, candidates
+            yield ids, candidates
 
 
 def _log_odds_without_position(

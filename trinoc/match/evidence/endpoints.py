@@ -1,9 +1,10 @@
 """Evidence of the segments' ends along their common line.
 
-A detector ends the images of one line at nearly the same position, or breaks one of them. At
-each end, all views agree, or two agree and the third stops short or runs on, or none agree. The
-evidence compares this mixture with ends that are uniform on the longest segment. The weights
-depend on the detector; `em_step` estimates them from the images at hand.
+A detector usually ends the images of one line at corresponding positions, or breaks one of them. At
+each end, there are three cases. All views agree. Two views agree, and the third segment is shorter
+or longer. No views agree. The evidence compares the mixture of these cases with ends that are
+uniform on the longest segment. The weights of the mixture depend on the detector. `em_step`
+estimates them from the images at hand.
 """
 
 import numpy as np
@@ -25,7 +26,12 @@ SMALLEST_DENSITY = 1e-30
 def end_evidence(
     extent_px: tuple[tuple[Scalar, Scalar], ...], tuning: EndTuning = DEFAULT.ends
 ) -> Float[ArrayLike, "2 c *h"]:
-    """Log density of each component over that of clutter, at both ends of a triple, (2, c, h)."""
+    """Return the evidence of how well the segment ends of a triple correspond, (2, c, h).
+
+    For both ends of h triples and each of c mixture components, the value is the log of a density
+    ratio: component over clutter. `extent_px` are the positions (low, high) of each segment along
+    the common line.
+    """
     xp = array_namespace(extent_px)
     # Positions of both ends, each counted toward the middle of the line.
     inward = [xp.stack([low, -high]) for low, high in extent_px]
@@ -40,9 +46,11 @@ def end_search_radius_px(
     scouting: ScoutTuning,
     tuning: EndTuning = DEFAULT.ends,
 ) -> float | None:
-    """Largest distance of an end that agrees, px, from the estimated shares of the components.
+    """Return the largest distance, px, between two segment ends that are tested as corresponding
+    ends.
 
-    None if the distance is too large relative to the typical length of segments to be useful.
+    The distance follows from the estimated weights `shares` of the components of `end_evidence`.
+    The result is None if this distance is large relative to the typical segment length.
     """
     scales = np.array([*tuning.agreement_px, *tuning.pair_px, *tuning.pair_px])
     sorted_scales = np.sort(tuning.agreement_px)

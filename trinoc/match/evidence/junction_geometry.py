@@ -9,11 +9,19 @@ from trinoc.numerics.vectors import cross_3d
 
 
 class ClosestApproach(NamedTuple):
-    """Closest approach of two lines; not finite for parallel ones.
+    """Closest approach of two lines in space; the values of parallel lines are not finite.
 
-    distance_mm : signed distance of the lines along `normal`, the unit vector across both.
-    sine : sine of the angle between the lines.
-    gap_mm : distance from each end, along its direction, to the closest point.
+    Attributes
+    ----------
+    distance_mm : (p,)
+        Signed distance of the lines along `normal`.
+    normal : (p, 3)
+        Unit vector perpendicular to both lines.
+    sine : (p,)
+        Sine of the angle between the lines.
+    gap_mm : (p, 2)
+        Distance along each line, from its end to the point nearest to the other line. It is
+        positive in the direction of the line.
     """
 
     distance_mm: Float[np.ndarray, "p"]
@@ -28,7 +36,11 @@ def closest_approach(
     other_mm: Float[np.ndarray, "p 3"],
     other_direction: Float[np.ndarray, "p 3"],
 ) -> ClosestApproach:
-    """Closest approach of pairs of lines, each given by an end (mm) and a unit direction."""
+    """Compute the closest approach of p pairs of lines.
+
+    `point_mm` and `direction` are an end and the unit direction of the first line of each pair.
+    `other_mm` and `other_direction` are the end and the direction of the second line.
+    """
     offset, normal = other_mm - point_mm, cross_3d(direction, other_direction)
     sine2 = (normal**2).sum(axis=1)
     sine = np.sqrt(sine2)
@@ -46,8 +58,11 @@ def log_gap_density(
     px_per_mm: Float[np.ndarray, "p 2"],
     scales_px: Float[np.ndarray, "k"],
 ) -> Float[np.ndarray, "p k"]:
-    """Log density, per mm^2, of the distances of two ends from their junction, for each Gaussian
-    scale.
+    """Log density of the gaps between two line ends and the junction of their lines, (p, k),
+    1/mm^2.
+
+    The gaps in pixels are assumed Gaussian with zero mean, with each of k standard deviations
+    `scales_px`.
     """
     square = (gap_px**2).sum(axis=1)[:, None]
     per_mm2 = px_per_mm.prod(axis=1)[:, None]

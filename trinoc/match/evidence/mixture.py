@@ -18,10 +18,16 @@ Frame = Int[np.ndarray, "m"] | None
 
 
 class Volume(NamedTuple):
-    """Density of lines in space: uniform in a box about a centre, with a thin tail outside.
+    """Density of lines in space: uniform in a box, with a thin tail outside.
 
-    precision : inverse covariance of the lines' middles, 1/mm^2.
-    log_size : log of the volume of the box, mm^3.
+    Attributes
+    ----------
+    centre_mm : (3,)
+        Centre of the box.
+    precision : (3, 3)
+        Inverse covariance of the lines' midpoints, 1/mm^2.
+    log_size : ()
+        Log of the volume of the box, mm^3.
     """
 
     centre_mm: Float[np.ndarray, "*f 3"]
@@ -30,13 +36,22 @@ class Volume(NamedTuple):
 
 
 class MixtureParameters(NamedTuple):
-    """Mixture parameters, estimated from the images at hand.
+    """Weights of the mixtures in the evidence, and density of the lines, estimated by EM.
 
-    tail : share of each scale of the error's tail.
-    ends : share of each end component.
-    volume : density of lines in space.
-    log_count : log of the number of lines.
-    sides : share of each component of the side levels.
+    In a stack of frames, all attributes have a leading axis of frames.
+
+    Attributes
+    ----------
+    tail : (k,)
+        Weight of each error scale in the heavy-tailed distribution of residuals.
+    ends : (c,)
+        Weight of each component of `end_evidence`.
+    volume : Volume
+        Density of lines in space.
+    log_count : ()
+        Log of the number of lines.
+    sides : (s,)
+        Weight of each component of `side_evidence`.
     """
 
     tail: Float[np.ndarray, "*f k"]
@@ -52,7 +67,10 @@ def prior_parameters(
     tuning: MatchTuning = DEFAULT,
     frame: Frame = None,
 ) -> MixtureParameters:
-    """Parameters before the first EM step: `count` lines among equally likely candidates."""
+    """Return the mixture parameters before the first EM step.
+
+    All candidates are assumed equally likely, with `count` lines among them.
+    """
     frames = np.size(count)
     candidate_count = group_sums(np.ones(len(ends_mm)), frame, frames)
     share = np.minimum(1.0, count / np.maximum(candidate_count, 1))
@@ -76,7 +94,11 @@ def log_position_density(
     tuning: EvidenceTuning = DEFAULT.evidence,
     frame: Frame = None,
 ) -> Float[np.ndarray, "m"]:
-    """Log density of a line at each position, per volume (mm^3) and direction (of 2 pi), (m,)."""
+    """Return the log density of lines at the position of each candidate, (m,).
+
+    The density is per mm^3 of position and per steradian of direction. All directions of a line
+    together are 2 pi steradian.
+    """
     volume = Volume(*(broadcast_groups(field, frame) for field in volume))
     centred = ends_mm - np.expand_dims(volume.centre_mm, -2)
     square = np.zeros(len(ends_mm))
@@ -98,7 +120,11 @@ def log_odds(
     tuning: EvidenceTuning = DEFAULT.evidence,
     frame: Frame = None,
 ) -> Float[np.ndarray, "m"]:
-    """Log odds that each candidate is one line rather than clutter, (m,)."""
+    """Return the log odds of each candidate, one line against clutter, (m,).
+
+    The result includes the prior and the evidence of position, ends and side levels. Rivals and
+    junctions are not included.
+    """
     tail = np.log(np.exp(_tail_terms(chi_square, mixture.tail, tuning, frame)).sum(axis=1))
     ends = _log_mixture(end_log, broadcast_groups(mixture.ends, frame)).sum(axis=1)
     prior = broadcast_groups(mixture.log_count, frame) + log_position_density(
@@ -113,7 +139,10 @@ def temper(
     side_log: Float[np.ndarray, "m s"],
     tuning: EvidenceTuning = DEFAULT.evidence,
 ) -> Float[np.ndarray, "m"]:
-    """Multiply log odds by the temperature where side levels are known."""
+    """Multiply the log odds by the temperature (below 1) for candidates with known side levels.
+
+    Other candidates keep their log odds.
+    """
     tempered = tuning.temperature * posterior_log_odds
     return np.where(side_log.any(axis=1), tempered, posterior_log_odds)
 
@@ -121,7 +150,10 @@ def temper(
 def log_sides(
     side_log: Float[np.ndarray, "m s"], mixture: MixtureParameters, frame: Frame = None
 ) -> Float[np.ndarray, "m"]:
-    """Evidence of the side levels, (m,); zero where they are not known."""
+    """Return the log likelihood ratio of the side levels, (m,); 0 if the levels are unknown.
+
+    The components of `side_evidence` have the weights `mixture.sides`.
+    """
     if not side_log.any():
         return np.zeros(len(side_log))
     mixed = _log_mixture(side_log[:, None], broadcast_groups(mixture.sides, frame))[:, 0]
@@ -138,7 +170,10 @@ def em_step(
     tuning: MatchTuning = DEFAULT,
     frame: Frame = None,
 ) -> MixtureParameters:
-    """One step of expectation maximisation, given the current posterior of each candidate."""
+    """Run one step of expectation maximisation, and return the updated mixture parameters.
+
+    `posterior` (m,) is the current probability of each candidate, with rivals and junctions.
+    """
     evidence, frames = tuning.evidence, np.size(mixture.log_count)
     rows = np.flatnonzero(posterior > evidence.negligible_posterior)
     weight, frame, side_log = posterior[rows], take_groups(frame, rows), side_log[rows]
@@ -174,7 +209,10 @@ def fit_volume(
     frame: Frame = None,
     frames: int = 1,
 ) -> Volume:
-    """Box with the spread of the lines' middles, weighted by posterior."""
+    """Fit the box of `Volume` to the mean and covariance of the lines' midpoints.
+
+    Each candidate has its posterior as weight. `frames` is the number of frames of the stack.
+    """
     middles = (ends_mm[:, 0] + ends_mm[:, 1]) / 2
     count = np.expand_dims(group_sums(posterior, frame, frames) + 1e-9, -1)
     centre = group_sums(posterior[:, None] * middles, frame, frames) / count
@@ -195,7 +233,7 @@ def fit_volume(
 def _multiply_rows(
     rows: Float[np.ndarray, "m a"], matrix: Float[np.ndarray, "*m a b"]
 ) -> np.ndarray:
-    """Multiply each row by one common matrix, or by its own."""
+    """Multiply each row (a,) by one common matrix (a, b), or row k by matrix k of (m, a, b)."""
     if matrix.ndim == 2:
         return rows @ matrix
     return np.einsum("ma,mab->mb", rows, matrix)
@@ -234,5 +272,5 @@ def _normalise(shares: tuple[float, ...]) -> np.ndarray:
 
 
 def probability(log_odds: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
-    """Probability of log odds, without overflow."""
+    """Convert log odds to probabilities, without overflow."""
     return scipy.special.expit(log_odds)

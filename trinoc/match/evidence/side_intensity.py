@@ -1,10 +1,11 @@
 """Evidence of the grey levels beside segments: in diffuse light, a surface is equally bright in all
 views.
 
-An edge separates two surfaces. Both look the same in all images, or one does (if the other is a
-background that differs between views), or none. `em_step` estimates the frequency of each case,
-and the precision of the agreement, from the images at hand. The darker side of a line in space
-is also the same in all images. It is evidence, never a gate.
+An edge separates two surfaces. Three cases are possible. Both surfaces look the same in all images.
+Only one does, because the other is a background that differs between views. None does. `em_step`
+estimates the frequency of each case, and the precision of the agreement, from the images at hand.
+The darker side of a line in space is also the same in all images. This polarity changes the log
+odds, but excludes no candidate.
 """
 
 from itertools import combinations_with_replacement
@@ -22,9 +23,10 @@ def polarity_evidence(
     interval: Float[np.ndarray, "m v 2"],
     tuning: EvidenceTuning = DEFAULT.evidence,
 ) -> Float[np.ndarray, "m"]:
-    """Log likelihood ratio of the members' polarities, one line against clutter, (m,).
+    """Log likelihood ratio of the segments' polarities, one line against clutter, (m,).
 
-    `polarity` is +1 or -1 relative to the direction from a segment's first end, 0 if not known.
+    `polarity` is +1 or -1 if the darker side is on the right or on the left, 0 if unknown. `index`
+    and `interval` are as in `Candidates`.
     """
     views = np.arange(polarity.shape[0])
     direction = np.where(interval[..., 1] > interval[..., 0], 1.0, -1.0)
@@ -49,11 +51,11 @@ def side_evidence(
     interval: Float[np.ndarray, "m v 2"],
     tuning: SideTuning = DEFAULT.sides,
 ) -> Float[np.ndarray, "m s"]:
-    """Log density of the members' levels under each of SIDE_COMPONENTS, over that of clutter, (m,
-    s).
+    """Return the evidence of the grey levels beside the segments of each candidate, (m, s).
 
-    It is zero if fewer than two members have known levels, and fewer than two others have known
-    contrasts. `sides` is the result of `side_table`.
+    For each of the components SIDE_COMPONENTS, the value is the log of a density ratio: component
+    over clutter. The value is 0 without two segments with levels and without two other segments
+    with a contrast. `sides` is the result of `side_table`.
     """
     by_levels = _level_evidence(sides[..., :5], index, interval, tuning)
     return by_levels + _contrast_evidence(sides[..., 5:], index, tuning)
@@ -62,8 +64,9 @@ def side_evidence(
 def _contrast_evidence(
     contrasts: Float[np.ndarray, "v n 2"], index: Int[np.ndarray, "m v"], tuning: SideTuning
 ) -> Float[np.ndarray, "m s"]:
-    """The same evidence for the contrast alone. If one side differs, the contrast may have any
-    value.
+    """Return the evidence of the contrast, for segments whose levels are unknown, (m, s).
+
+    The evidence is 0 for components in which a side differs between the views.
     """
     evidence = np.zeros((len(index), len(SIDE_COMPONENTS)))
     if np.isnan(contrasts[..., 0]).all():
@@ -140,5 +143,5 @@ def _level_evidence(
 def _log_mean(
     first: Float[np.ndarray, "m"], second: Float[np.ndarray, "m"]
 ) -> Float[np.ndarray, "m"]:
-    """Log of the mean of two values, from their logs."""
+    """Return log((a + b) / 2), given log a and log b."""
     return np.logaddexp(first, second) - np.log(2)

@@ -61,18 +61,30 @@ from trinoc.numerics.vectors import (
 
 
 class TripleEvidence(NamedTuple):
-    """Evidence that three segments are images of one line.
+    """Evidence that three segments are images of one line in space.
 
-    ends_mm : ends of the part common to all, fitted to all three views.
-    possible : mask of the triples with such a part that pass the gate.
-    chi_square : of position and direction, under the covariances of the segments.
-    log_density : log evidence of position over that of clutter, without the density of lines in
-        space, the heavy tail and the ends.
-    extent_px : (3, 2) begin and end of each view's segment along the line, in mean pixels.
-    interval : (3, 2) the common part on each segment, 0 at its first end and 1 at its second.
-    union_ends_mm : ends of the part that any of the three shows.
-    union_covariance_mm2 : covariance of these ends across the line: xx, xy, xz, yy, yz, zz.
-    px_per_mm : mean image length per length along the line.
+    Attributes
+    ----------
+    ends_mm : two of (3,)
+        Ends of the common part on the fitted line, world frame.
+    possible : ()
+        True if the segments have a common part and pass the chi-square gate.
+    chi_square : ()
+        Chi-square of the two residuals of position and direction.
+    log_density : ()
+        Log density of the positions over that of clutter. The density of lines in space, the heavy
+        tail and the ends are not included.
+    extent_px : (3, 2)
+        Interval of each segment along the line, measured from the first end of the common part. The
+        unit is the mean pixel of the three views.
+    interval : (3, 2)
+        Common part on each segment: positions from 0 at its first end to 1 at its second.
+    union_ends_mm : two of (3,)
+        Ends of the part of the line that any of the three segments shows.
+    union_covariance_mm2 : two of (6,)
+        Covariance of each of these ends across the line: xx, xy, xz, yy, yz, zz.
+    px_per_mm : ()
+        Length in the image over length on the line, mean of the three views.
     """
 
     ends_mm: tuple[Vector3, Vector3]
@@ -87,7 +99,19 @@ class TripleEvidence(NamedTuple):
 
 
 class _LineIntervals(NamedTuple):
-    """Intervals of the segments on a line in space, and their common interval, mm."""
+    """Intervals of three segments on a line in space, as positions in mm from `origin`.
+
+    Attributes
+    ----------
+    origin, direction : (3,)
+        Point and unit direction of the line, world frame.
+    low, high : (3, h)
+        Interval of each segment.
+    begin, common : (h,)
+        Begin and length of the common interval.
+    possible : (h,)
+        True if the intervals overlap enough and have similar lengths.
+    """
 
     origin: Vector3
     direction: Vector3
@@ -98,7 +122,7 @@ class _LineIntervals(NamedTuple):
     possible: Bool[ArrayLike, "*h"]
 
     def points(self, *positions: Scalar) -> Vector3:
-        """Points at positions on the line, with a leading axis of positions."""
+        """Return the points of the line at given positions, with a leading axis of positions."""
         return add3(
             in_front(self.origin),
             in_front(self.direction),
@@ -111,7 +135,10 @@ def triple_evidence(
     line_mm: tuple[Vector3, Vector3],
     tuning: CandidateTuning = DEFAULT.candidates,
 ) -> TripleEvidence:
-    """Evidence of one segment in each of three views, near a line given by two points."""
+    """Compute the evidence of one segment in each of three views, on a given line in space.
+
+    `line_mm` are two points of the line, which must lie near the best fit.
+    """
     xp, intervals = array_namespace(segments), _intervals_on_line(segments, line_mm, tuning)
     begin, end = intervals.begin, intervals.begin + intervals.common
     union_begin, union_end = least(intervals.low), largest(intervals.high)
@@ -149,7 +176,11 @@ def line_of_three(
     line_mm: tuple[Vector3, Vector3],
     tuning: CandidateTuning = DEFAULT.candidates,
 ) -> tuple[tuple[Vector3, Vector3], Bool[ArrayLike, "*h"]]:
-    """Ends of the common part, fitted to all three views, and the mask of possible lines."""
+    """Fit a line in space to one segment in each of three views, from an approximate line.
+
+    Returns (the two ends of the common part, mm, mask of the triples that can be one line).
+    `line_mm` are two points of the approximate line.
+    """
     intervals = _intervals_on_line(segments, line_mm, tuning)
     points = intervals.points(intervals.begin, intervals.begin + intervals.common)
     planes = interpretation_planes(segments, points)
@@ -181,8 +212,10 @@ def _intervals_on_line(
 def _misfit(
     segments: SegmentPlanes, planes: InterpretationPlanes, direction: Vector3
 ) -> tuple[Scalar, Scalar]:
-    """Chi-square of the residuals at the first two points, and the determinant of their
+    """Return the chi-square of the residuals of three views, and the determinant of their
     covariance.
+
+    The module docstring defines the residual r. It is evaluated at the first two points.
     """
     normals = [nth3(planes.normal, k) for k in range(3)]
     crossings = [cross3(normals[(k + 1) % 3], normals[(k + 2) % 3]) for k in range(3)]
@@ -196,7 +229,11 @@ def _misfit(
 
 
 def log_lengths(lengths_px: Float[ArrayLike, "v *h"], typical_px: Scalar) -> Float[ArrayLike, "*h"]:
-    """Log density of one length over that of clutter, with ends uniform on the longest segment."""
+    """Log likelihood ratio of the segments' lengths, one line against clutter, (h,).
+
+    One line is assumed to be as long as the longest segment, with the ends of the other segments
+    uniform on it. `typical_px` is the typical length of clutter.
+    """
     xp, longest = array_namespace(lengths_px), largest(lengths_px)[None]
 
     def log_share(length: Scalar) -> Scalar:
@@ -210,9 +247,10 @@ def log_lengths(lengths_px: Float[ArrayLike, "v *h"], typical_px: Scalar) -> Flo
 def project_onto_planes(
     segments: SegmentPlanes, planes: InterpretationPlanes, points_mm: Vector3, direction: Vector3
 ) -> tuple[Vector3, Symmetric3]:
-    """Move points across the line to the weighted least-squares fit of all interpretation planes.
+    """Move points perpendicular to a line, to the least-squares fit of all interpretation planes.
 
-    Returns (points, their covariance across the line), with a leading axis of points.
+    Returns (points, covariance across the line), with a leading axis of points. Each plane has the
+    weight 1 / variance of its segment at the point.
     """
     xp = array_namespace(planes)
     nx, ny, nz = planes.normal
@@ -232,12 +270,20 @@ def project_onto_planes(
 
 
 class PairEvidence(NamedTuple):
-    """Evidence that two segments are images of one line; other fields as in TripleEvidence.
+    """Evidence that two segments are images of one line in space.
 
-    end_log : (2, c) log density of each component over that of clutter: ends agree, by scale, or do
-        not.
-    expected_views : number of other views whose image contains the line.
-    crossing_sine : sine of the angle between the interpretation planes.
+    Other attributes are as in `TripleEvidence`.
+
+    Attributes
+    ----------
+    end_log : (2, c)
+        For both ends, log density of each component over that of clutter. The last component means
+        that the two segment ends do not correspond. The others mean that they correspond, with each
+        scale of their distance.
+    expected_views : ()
+        Number of other views whose image contains the line.
+    crossing_sine : ()
+        Sine of the angle between the two interpretation planes.
     """
 
     ends_mm: tuple[Vector3, Vector3]
@@ -262,8 +308,10 @@ def pair_evidence(
     tuning: CandidateTuning = DEFAULT.candidates,
     ends: EndTuning = DEFAULT.ends,
 ) -> PairEvidence:
-    """Evidence of one segment in each of two views. `rows` are the same segments in their
-    pencil.
+    """Compute the evidence of one segment in each of two views.
+
+    `segments` (2, h) are the indices of the segments. `rows` are the same segments in the pencil of
+    the two views.
     """
     xp = array_namespace(lines, segments)
     common = cut_pair(planes.baseline_mm, *rows, tuning)
@@ -330,7 +378,10 @@ def _count_expected_views(
     segments: Int[ArrayLike, "2 *h"],
     points_mm: Vector3,
 ) -> Float[ArrayLike, "*h"]:
-    """Number of other views that contain the first two points in their image, at positive depth."""
+    """Return the number of other views whose image contains the first two points, (h,).
+
+    The points must also lie in front of the camera. `views` are the two views of the pair.
+    """
     all_views = np.arange(lines.matrix_px.shape[-3])
     items = (1,) * (segments.ndim - 1)
     view = all_views.reshape(-1, *items)

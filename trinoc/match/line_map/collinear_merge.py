@@ -35,12 +35,24 @@ from trinoc.numerics.tails import chi_square_tail
 
 
 class _Group(NamedTuple):
-    """Tracks joined so far, their segments (view, segment), and their line.
+    """Tracks that have been joined to one straight line so far.
 
-    common_mm : ends of the common part of each track.
-    posterior : smallest posterior of the tracks.
-    chi_square, degrees : 0 for a single track.
-    parallel_density : density of parallel lines.
+    Attributes
+    ----------
+    tracks : tuple of int
+        Indices of the tracks.
+    segments : frozenset of (view, segment)
+        Segments of the tracks.
+    common_mm : (k, 2, 3)
+        Ends of the common part of each track.
+    ends_mm, covariance_mm2 : (2, 3) and (6, 6)
+        Ends of the line, world frame, and their covariance.
+    chi_square, degrees : float and int
+        Misfit of the segments to the line and its degrees of freedom; 0 for a single track.
+    parallel_density : float
+        Number of lines parallel to this line, per mm^2 across it.
+    posterior : float
+        Smallest posterior of the tracks.
     """
 
     tracks: tuple[int, ...]
@@ -64,26 +76,35 @@ class _Problem(NamedTuple):
 def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT) -> JoinedLines:
     """Join collinear tracks to straight lines, each estimated from all segments of its tracks.
 
-    Two tracks are joined if the probability of one line is at least 0.9, and that of both tracks
-    being right at least 0.7. The probability compares their difference with the density of parallel
-    and other lines, and includes the gap in pixels. The joined line must fit all segments at a
-    significance of 0.001. A segment that serves several tracks of a line counts once. If the misfit
-    of most tracks shows larger errors than stated, all covariances are scaled. A few segments may
-    have errors up to five times as large.
-
     Parameters
     ----------
-    matches : the tracks, with the covariance of their fragments.
-    rig : the cameras.
-    tuning : all tuned constants; the group `collinear` is used here.
+    matches : Matches
+        The tracks, with the covariance of their fragments.
+    rig : Rig
+        The cameras.
+    tuning : MatchTuning
+        Tuned constants; the group `collinear` is used here.
 
     Returns
     -------
     JoinedLines
+        The lines, and the line of each track.
 
     Raises
     ------
-    InputError : the matches hold no covariance of their fragments.
+    InputError
+        If the matches have no covariance of their fragments.
+
+    Notes
+    -----
+    Two tracks are joined under two conditions. The probability that both tracks are one line is at
+    least 0.9. The probability that both tracks are right is at least 0.7. The first probability
+    compares the difference of the tracks in space with the density of parallel and other lines. The
+    gap between the tracks, in pixels, is included.
+
+    The joined line must fit all segments at a significance of 0.001. A segment of several tracks is
+    used once. If most tracks have residuals larger than the stated errors, all covariances are
+    scaled. A few segments may have errors up to five times as large.
     """
     if matches.fragments_covariance_px2 is None:
         raise InputError(
@@ -127,10 +148,13 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
 def _agglomerate(
     groups: list[_Group], pairs: Int[np.ndarray, "p 2"], problem: _Problem
 ) -> list[_Group]:
-    """Merge groups until no two of them are likely to be one line."""
+    """Join the two most probable groups repeatedly, until no pair of groups is probable enough.
+
+    `pairs` (p, 2) are the pairs of groups that are nearly collinear.
+    """
     rules = problem.tuning.collinear
     active = dict(enumerate(groups))
-    neighbours: dict[int, set[int]] = {number: set() for number in active}
+    neighbours: dict[int, set[int]] = {group_id: set() for group_id in active}
     for first, second in pairs.tolist():
         neighbours[first].add(second)
         neighbours[second].add(first)
@@ -150,7 +174,7 @@ def _agglomerate(
             heapq.heappush(queue, (-value, first, second))
 
     compare(pairs)
-    number = len(groups)
+    group_id = len(groups)
     while queue:
         _, first, second = heapq.heappop(queue)
         if first not in active or second not in active:
@@ -160,21 +184,23 @@ def _agglomerate(
             continue
         near_groups = sorted((neighbours.pop(first) | neighbours.pop(second)) - {first, second})
         del active[first], active[second]
-        active[number], neighbours[number] = merged, set(near_groups)
+        active[group_id], neighbours[group_id] = merged, set(near_groups)
         for neighbour in near_groups:
             neighbours[neighbour] -= {first, second}
-            neighbours[neighbour].add(number)
+            neighbours[neighbour].add(group_id)
         if near_groups:
-            compare(np.array([[neighbour, number] for neighbour in near_groups]))
-        number += 1
+            compare(np.array([[neighbour, group_id] for neighbour in near_groups]))
+        group_id += 1
     return list(active.values())
 
 
 def _smallest_gaps(
     first_groups: list[_Group], second_groups: list[_Group]
 ) -> Float[np.ndarray, "p"]:
-    """Smallest gap between a piece of the first group and a piece of the second, for each pair,
-    (p,).
+    """Return the gap between the two groups of each pair, (p,) mm.
+
+    The gap is the smallest distance along the line between a track of the first group and a track
+    of the second.
     """
     rows, first_pieces, second_pieces = [], [], []
     for row, (first_group, second_group) in enumerate(
@@ -215,7 +241,7 @@ def _pair_log_odds(
 
 
 def _join_groups(first: _Group, second: _Group, problem: _Problem) -> _Group | None:
-    """Line of the segments of both groups; None if it does not fit them."""
+    """Fit one line to the segments of both groups; None if the line does not fit the segments."""
     tracks = tuple(sorted(first.tracks + second.tracks))
     longer = max(first, second, key=_length_mm)
     direction = longer.ends_mm[1] - longer.ends_mm[0]
@@ -265,7 +291,11 @@ def _build_lines(
     tail: float,
     rules: CollinearTuning,
 ) -> JoinedLines:
-    """Lines in the order of the caller's first track on each."""
+    """Build the result from the groups, sorted by the smallest track index of each group.
+
+    `order` maps the tracks of `pieces` to the caller's track indices. `tail` is the `noise_tail` of
+    the matches.
+    """
     groups = sorted(groups, key=lambda group: int(order[list(group.tracks)].min()))
     group_ends = np.array([group.ends_mm for group in groups]).reshape(-1, 2, 3)
     blocks = np.array([group.covariance_mm2 for group in groups]).reshape(-1, 6, 6)
@@ -274,11 +304,11 @@ def _build_lines(
     posteriors = line_posteriors(fragments, group_ends, posterior, tail, rules)
     line_of_track = np.zeros(len(order), dtype=np.int64)
     interval = np.zeros((len(order), 2))
-    for number, group in enumerate(groups):
-        tracks, ends = list(group.tracks), posteriors.ends_mm[number]
+    for line_id, group in enumerate(groups):
+        tracks, ends = list(group.tracks), posteriors.ends_mm[line_id]
         step = ends[1] - ends[0]
         positions = (pieces.ends_mm[tracks] - ends[0]) @ (step / np.linalg.norm(step))
-        line_of_track[order[tracks]], interval[order[tracks]] = number, np.sort(positions, axis=1)
+        line_of_track[order[tracks]], interval[order[tracks]] = line_id, np.sort(positions, axis=1)
     scale = [pieces.px_per_mm[list(group.tracks)].mean() for group in groups]
     return JoinedLines(
         posteriors.ends_mm,
@@ -295,7 +325,7 @@ def _build_lines(
 def _project_along(
     ends_mm: Float[np.ndarray, "e 2 3"], covariance_mm2: Float[np.ndarray, "e 6 6"]
 ) -> Float[np.ndarray, "e 6 6"]:
-    """Part of a covariance along the lines, at each end separately."""
+    """Return the part of each covariance that lies along the line, separately for both ends."""
     direction = ends_mm[:, 1] - ends_mm[:, 0]
     direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     blocks = covariance_mm2.reshape(-1, 2, 3, 2, 3)

@@ -20,10 +20,16 @@ from trinoc.numerics.vectors import complete_axes
 
 
 class LineDensity(NamedTuple):
-    """Density of lines in space, mm.
+    """Density of the lines of a scene, for the chance that two lines are near each other.
 
-    density : lines of any direction, per area that they cross and per steradian.
-    size, volume : largest extent of the lines, and volume of their box.
+    Attributes
+    ----------
+    density : float
+        Number of lines that cross a plane, per mm^2 of the plane and per steradian of direction.
+    size : float
+        Largest extent of the lines, mm.
+    volume : float
+        Volume of the box of the lines, mm^3.
     """
 
     density: float
@@ -32,12 +38,22 @@ class LineDensity(NamedTuple):
 
 
 class Difference(NamedTuple):
-    """Difference of two lines. `square` is d' S^-1 d.
+    """Difference d between two lines: two lateral offsets at each of two positions along the lines.
 
-    log_density : log density of d if the lines are one, per mm^4, with a heavy tail.
-    log_shift_density : log density of the lateral shift, per mm^2, with a heavy tail.
-    shift, shift_sigma : size of the shift, and its largest standard deviation, mm.
-    span : distance of the two positions, mm.
+    S is the covariance of d.
+
+    Attributes
+    ----------
+    square : (p,)
+        d' S^-1 d.
+    log_density : (p,)
+        Log density of d under the hypothesis of one line, with a heavy tail, 1/mm^4.
+    log_shift_density : (p,)
+        Log density of the lateral shift alone under this hypothesis, with a heavy tail, 1/mm^2.
+    shift, shift_sigma : (p,)
+        Size of the lateral shift, and its largest standard deviation over all directions, mm.
+    span : (p,)
+        Distance of the two positions along the lines, mm.
     """
 
     square: Float[np.ndarray, "p"]
@@ -55,7 +71,11 @@ def difference(
     second_covariance: Float[np.ndarray, "p 6 6"],
     tuning: EvidenceTuning = DEFAULT.evidence,
 ) -> Difference:
-    """Compare pairs of lines. The result does not depend on their order."""
+    """Compute the difference between the two lines of each pair.
+
+    The lines are given by their ends (p, 2, 3), mm, and the covariance of the ends, mm^2.
+    Exchanging the two lines gives the same result.
+    """
     direction = _common_direction(first_mm, second_mm)
     extents = [_extent(direction, ends) for ends in (first_mm, second_mm)]
     low = np.minimum(extents[0][:, 0], extents[1][:, 0])
@@ -87,7 +107,7 @@ def difference(
 def gap_mm(
     first_mm: Float[np.ndarray, "p 2 3"], second_mm: Float[np.ndarray, "p 2 3"]
 ) -> Float[np.ndarray, "p"]:
-    """Gap between two pieces along their direction, (p,) mm; 0 if they touch or overlap."""
+    """Return the gap between two line pieces along their direction, (p,) mm; 0 if they overlap."""
     direction = _common_direction(first_mm, second_mm)
     (low, high), (other_low, other_high) = (
         _extent(direction, ends).T for ends in (first_mm, second_mm)
@@ -96,14 +116,21 @@ def gap_mm(
 
 
 class CollinearEvidence(NamedTuple):
-    """Evidence on pairs of lines that may be pieces of one line.
+    """Evidence on p pairs of lines that may be pieces of one straight line.
 
-    difference : their difference.
-    parallel_density : density of lines parallel to the two, per mm^2 across.
-    shares_segment : True if one segment serves both. Then both lie in its interpretation plane, as
-        pieces of one line do, or by chance at any depth.
-    gap_mm : result of `gap_mm`.
-    px_per_mm : mean scale of the images.
+    Attributes
+    ----------
+    difference : Difference
+        Difference between the two lines.
+    parallel_density : (p,)
+        Number of lines parallel to the pair, per mm^2 across.
+    shares_segment : (p,)
+        True if one segment belongs to both lines. Both lines then lie in the interpretation plane
+        of the segment, even if the lines are different and have different depths.
+    gap_mm : (p,)
+        Gap between the pieces along the line.
+    px_per_mm : (p,)
+        Image displacement per mm in space, mean over views and tracks.
     """
 
     difference: Difference
@@ -116,7 +143,7 @@ class CollinearEvidence(NamedTuple):
 def collinear_log_odds(
     evidence: CollinearEvidence, scene: LineDensity, tuning: MatchTuning = DEFAULT
 ) -> Float[np.ndarray, "p"]:
-    """Log odds that the lines of each pair are one line, (p,)."""
+    """Return the log odds that the two lines of each pair are pieces of one straight line, (p,)."""
     difference, parallel_density, shares_segment, gap, px_per_mm = evidence
     rules, tail = tuning.collinear, tuning.evidence
     log_other_lines = np.logaddexp(
@@ -135,7 +162,10 @@ def collinear_log_odds(
 def _log_tailed(
     square: Float[np.ndarray, "p"], dimensions: int, tuning: EvidenceTuning
 ) -> Float[np.ndarray, "p"]:
-    """Log density of standard normal numbers, mixed with a wider normal distribution."""
+    """Log density of a heavy-tailed distribution: a standard normal mixed with a wider normal.
+
+    `square` is the squared length of the vector, `dimensions` its number of coordinates.
+    """
     sigmas, share = tuning.outlier_sigmas, tuning.outlier_share
     return np.logaddexp(
         np.log(1 - share) - square / 2,
@@ -151,7 +181,7 @@ def _largest_sigma(precision: Float[np.ndarray, "p 2 2"]) -> Float[np.ndarray, "
 def _common_direction(
     first_mm: Float[np.ndarray, "p 2 3"], second_mm: Float[np.ndarray, "p 2 3"]
 ) -> Float[np.ndarray, "p 3"]:
-    """Unit vectors along both lines of each pair, weighted by their lengths."""
+    """Return the mean direction of the two lines of each pair, weighted by length, (p, 3)."""
     first_step, second_step = first_mm[:, 1] - first_mm[:, 0], second_mm[:, 1] - second_mm[:, 0]
     total = (
         first_step
@@ -173,8 +203,10 @@ def _offsets_at_positions(
     ends_mm: Float[np.ndarray, "p 2 3"],
     covariance_mm2: Float[np.ndarray, "p 6 6"],
 ) -> tuple[Float[np.ndarray, "p 4"], Float[np.ndarray, "p 4 4"]]:
-    """Offsets of lines, along two axes, in the planes across `direction` at two positions;
-    covariance.
+    """Return lateral offsets of each line at two positions, (p, 4) mm, and their covariance.
+
+    The offsets are coordinates along the two `axes`, in the planes perpendicular to `direction` at
+    `positions`.
     """
     end_positions = (ends_mm @ direction[:, :, None])[..., 0]
     share = (positions - end_positions[:, :1]) / (end_positions[:, 1:] - end_positions[:, :1])
@@ -195,7 +227,7 @@ ROWS_IN_BLOCK = 512
 def line_density(
     ends_mm: Float[np.ndarray, "t 2 3"], tuning: EvidenceTuning = DEFAULT.evidence
 ) -> LineDensity:
-    """Density of lines of any direction, in a box with the spread of their middles."""
+    """Estimate the density of lines of any direction, in a box around the lines' midpoints."""
     middles, length = ends_mm.mean(axis=1), np.linalg.norm(ends_mm[:, 1] - ends_mm[:, 0], axis=1)
     longest = float(length.max())
     # The spread of few lines does not give the extent of the scene.
@@ -208,11 +240,15 @@ def line_density(
 
 
 class NearbyLines(NamedTuple):
-    """Pairs of lines that may be one.
+    """Pairs of lines that are nearly collinear.
 
-    pairs : (p, 2) the smaller index first.
-    nearest_parallel_mm : (t,) distance of the nearest parallel line that is in no pair with it,
-        inf if none.
+    Attributes
+    ----------
+    pairs : (p, 2)
+        Indices of both lines, the smaller index first.
+    nearest_parallel_mm : (t,)
+        Distance of each line from the nearest parallel line that is too far away for a pair; inf if
+        there is none.
     """
 
     pairs: Int[np.ndarray, "p 2"]
@@ -224,7 +260,10 @@ def nearby_lines(
     covariance_mm2: Float[np.ndarray, "t 6 6"],
     tuning: CollinearTuning = DEFAULT.collinear,
 ) -> NearbyLines:
-    """Search all lines for pairs that are nearly collinear, block by block."""
+    """List all pairs of nearly collinear lines, and the nearest other parallel line of each line.
+
+    `ends_mm` are the ends of the lines, `covariance_mm2` their covariances.
+    """
     count = len(ends_mm)
     middle, step = ends_mm.mean(axis=1), ends_mm[:, 1] - ends_mm[:, 0]
     length = np.linalg.norm(step, axis=1)
@@ -260,8 +299,10 @@ def parallel_density(
     scene: LineDensity,
     tuning: CollinearTuning = DEFAULT.collinear,
 ) -> Float[np.ndarray, "t"]:
-    """Density of lines parallel to each line, per mm^2 across: the local or the typical value,
-    if larger.
+    """Return the number of lines parallel to each line, per mm^2 across the line, (t,).
+
+    The result is the local density from the nearest parallel line, or the median of all lines if
+    that is larger.
     """
     nearest_parallel = nearby.nearest_parallel_mm.copy()
     is_other = difference.square > tuning.gate_sigmas**2
@@ -274,7 +315,10 @@ def parallel_density(
 def _across_variance(
     direction: Float[np.ndarray, "t 3"], covariance_mm2: Float[np.ndarray, "t 6 6"]
 ) -> Float[np.ndarray, "t"]:
-    """Variance of the less precise end across the line, summed over both directions, (t,)."""
+    """Return the variance of the less precise end across each line, (t,) mm^2.
+
+    The variances in both directions across the line are added.
+    """
     blocks_of_ends = np.stack([covariance_mm2[:, :3, :3], covariance_mm2[:, 3:, 3:]], axis=1)
     variance_along = np.einsum("ti,teij,tj->te", direction, blocks_of_ends, direction)
     return np.maximum(np.trace(blocks_of_ends, axis1=2, axis2=3) - variance_along, 0.0).max(axis=1)

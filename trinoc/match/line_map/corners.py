@@ -30,19 +30,24 @@ _ROUNDS = 3
 
 
 class Corners(Value):
-    """Corners, and the lines that end at them.
+    """Points in space at which ends of lines meet, and the lines snapped to these points.
 
     `corner`, `line` and `end` form one table with a row for each line end at a corner.
 
-    Fields
-    ------
-    points_mm : (j, 3) common point of the lines, world frame.
-    covariance_mm2 : (j, 3, 3) its covariance.
-    chi_square, degrees : (j,) misfit of the lines to one point, with 2 k - 3 degrees of freedom for
-        k lines.
-    corner, line, end : (m,) index of the corner, index of the line, and its end, 0 or 1.
-    lines_mm : (e, 2, 3) all lines; ends at a corner have its position.
-    lines_covariance_mm2 : (e, 6, 6) covariance of both ends, given that the lines meet.
+    Attributes
+    ----------
+    points_mm : (j, 3)
+        Common point of the lines of each corner, world frame.
+    covariance_mm2 : (j, 3, 3)
+        Covariance of each point.
+    chi_square, degrees : (j,)
+        Misfit of the lines to one point, and its degrees of freedom, 2 k - 3 for k lines.
+    corner, line, end : (m,)
+        Index of the corner, index of the line, and its end at the corner, 0 or 1.
+    lines_mm : (e, 2, 3)
+        Ends of all lines, world frame. An end at a corner has the position of the corner.
+    lines_covariance_mm2 : (e, 6, 6)
+        Covariance of both ends of each line, given that the lines meet.
     """
 
     points_mm: Float[np.ndarray, "j 3"]
@@ -60,11 +65,20 @@ class Corners(Value):
 
 
 class Ends(NamedTuple):
-    """Both ends of all lines, two rows per line.
+    """Table of line ends: rows 2 k and 2 k + 1 are the two ends of line k.
 
-    direction : unit vectors pointing out of the line.
-    lines_mm, lines_covariance : the line of each end, with this end first, and its covariance.
-    px_per_mm : scale of the images.
+    Attributes
+    ----------
+    point_mm : (n, 3)
+        Position of the end.
+    direction : (n, 3)
+        Unit vector along the line, from the other end to this end.
+    lines_mm : (n, 2, 3)
+        Both ends of the line, this end first.
+    lines_covariance : (n, 6, 6)
+        Covariance of both ends, in the same sequence, mm^2.
+    px_per_mm : (n,)
+        Image displacement per mm in space at the line.
     """
 
     point_mm: Float[np.ndarray, "n 3"]
@@ -75,7 +89,7 @@ class Ends(NamedTuple):
 
 
 def line_ends(joined: JoinedLines) -> Ends:
-    """Both ends of every line, the first end first."""
+    """Build the table of all line ends."""
     lines, covariance = joined.lines_mm, joined.covariance_mm2
     lines_from_end = np.stack([lines, lines[:, ::-1]], axis=1).reshape(-1, 2, 3)
     reversed_covariance = covariance.reshape(-1, 2, 3, 2, 3)[:, ::-1, :, ::-1].reshape(-1, 6, 6)
@@ -94,7 +108,7 @@ def line_ends(joined: JoinedLines) -> Ends:
 def corner_candidates(
     ends: Ends, joined: JoinedLines, tuning: MatchTuning = DEFAULT
 ) -> tuple[Int[np.ndarray, "p 2"], Float[np.ndarray, "p"]]:
-    """Pairs of ends that probably meet (p, 2), and the log probability of each (p,)."""
+    """Return the pairs of line ends that probably meet, (p, 2), and their log probabilities."""
     if len(joined) < 2:
         return np.zeros((0, 2), dtype=np.int64), np.zeros(0)
     junction_tuning = tuning.junctions
@@ -132,11 +146,12 @@ def corner_candidates(
 def log_corner_probability(
     odds: Float[np.ndarray, "p"], lines_posterior: Float[np.ndarray, "p"]
 ) -> Float[np.ndarray, "p"]:
-    """Log probability that two ends meet and both lines are right, (p,).
+    """Log probability that two line ends meet and both lines are right, (p,).
 
-    `lines_posterior` is the probability of both lines before the meeting. Lines of wrong matches
-    meet others only by chance, so a meeting supports its lines. The support is halved, because
-    wrong lines at one position share segments.
+    `odds` are the log odds that the ends meet. `lines_posterior` is the probability that both lines
+    are right, before the meeting is considered. Wrong lines meet others only by chance, so a
+    meeting is evidence for both lines. Half of `odds` is used as this evidence, because wrong lines
+    at one position often share segments.
     """
     return log_expit(odds) + log_expit(odds / 2 + logit(lines_posterior))
 
@@ -149,11 +164,23 @@ def _meeting_log_odds(
     count: int,
     tuning: MatchTuning,
 ) -> Float[np.ndarray, "p"]:
-    """Log odds that ends m and n meet, of `count` ends in all, (p,).
+    """Log odds that the line ends m and n of each pair meet, (p,).
 
-    The share of ends that meet, and the distribution of their gaps, are estimated from all
-    pairs. `log_passing` is the evidence of the lines' distance. `gap_density` is the density of
-    both gaps, for each gap scale.
+    The share of ends that meet and the distribution of their gaps are estimated from all pairs.
+
+    Parameters
+    ----------
+    m, n : (p,)
+        Rows of the two ends in `Ends`.
+    log_passing : (p,)
+        Log likelihood ratio of the distance between the two lines: they meet, against unrelated
+        lines.
+    gap_density : (p, k)
+        Density of the gaps between ends and meeting point, for each gap scale.
+    count : int
+        Number of line ends in the table.
+    tuning : MatchTuning
+        Tuned constants.
     """
     prior, prior_gaps = tuning.junctions.prior_junction_share, np.array(tuning.junctions.prior_gaps)
     weight = tuning.evidence.prior_observations
@@ -177,7 +204,10 @@ def _meeting_log_odds(
 def move_ends(
     ends: Ends, rows: Int[np.ndarray, "k"], outward_mm: Float[np.ndarray, "k"]
 ) -> tuple[Float[np.ndarray, "k 2 3"], Float[np.ndarray, "k 6 6"]]:
-    """Lines with one end moved along them by `outward_mm`, that end first, and their covariance."""
+    """Move the line ends of the given rows outward along their lines by `outward_mm`.
+
+    Returns both ends of each line, the moved end first, and their covariance.
+    """
     lines = ends.lines_mm[rows]
     share = outward_mm / np.linalg.norm(lines[:, 0] - lines[:, 1], axis=1)
     weight = np.zeros((len(rows), 2, 2))
@@ -187,7 +217,7 @@ def move_ends(
 
 
 class _Corner(NamedTuple):
-    """Ends that meet (2 * line + 0 or 1), their common point, and its misfit."""
+    """Line ends that meet (rows of `Ends`), their common point, and the chi-square of its fit."""
 
     ends: tuple[int, ...]
     point_mm: Float[np.ndarray, "3"]
@@ -195,22 +225,30 @@ class _Corner(NamedTuple):
 
 
 def snap_corners(joined: JoinedLines, *, tuning: MatchTuning = DEFAULT) -> Corners:
-    """Detect the corners at which ends of lines meet, and move the ends to them.
-
-    Ends meet if the probability is at least 0.9 against a chance meeting, including the posteriors
-    of both lines. All lines of a corner must pass through one point at a significance of 0.001. The
-    position of an end across its line counts with its covariance. Along the line, a standard
-    deviation of 7 px is added, because the detector may stop early. A T junction is no corner here.
-    The errors of the lines count as independent, although some lines share a segment.
+    """Detect the corners at which ends of lines meet, and move the ends to the corners.
 
     Parameters
     ----------
-    joined : lines of `join_collinear`.
-    tuning : all tuned constants; the groups `corners`, `junctions` and `collinear` are used here.
+    joined : JoinedLines
+        Result of `join_collinear`.
+    tuning : MatchTuning
+        Tuned constants; the groups `corners`, `junctions` and `collinear` are used here.
 
     Returns
     -------
     Corners
+        The corners, and all lines after the adjustment.
+
+    Notes
+    -----
+    Two ends are joined if they meet with a probability of at least 0.9. The probability compares
+    the meeting with chance and includes the posteriors of both lines. All lines of a corner must
+    pass through one point at a significance of 0.001.
+
+    Across a line, the position of an end has its covariance. Along the line, a standard deviation
+    of 7 px is added, because the detector may stop early. A T junction, the end of one line on the
+    middle of another, is not a corner. The errors of the lines are assumed independent, although
+    some lines share a segment.
     """
     ends = line_ends(joined)
     corners = _agglomerate(ends, *corner_candidates(ends, joined, tuning), tuning)
@@ -223,7 +261,7 @@ def _agglomerate(
     log_probability: Float[np.ndarray, "p"],
     tuning: MatchTuning,
 ) -> list[_Corner]:
-    """Build corners from pairs of ends, the most likely pair first."""
+    """Join pairs of line ends to corners, the most probable pair first."""
     corner_of: dict[int, _Corner] = {}
     for first_row, second_row in pairs[np.lexsort((*pairs.T, -log_probability))].tolist():
         first = corner_of.get(first_row, _Corner((first_row,), ends.point_mm[first_row], 0.0))
@@ -242,8 +280,9 @@ def _first_end(corner: _Corner) -> int:
 
 
 def _common_point(ends: Ends, member_ends: tuple[int, ...], tuning: MatchTuning) -> _Corner | None:
-    """Most likely common point of the lines of some ends; None if they do not pass through one
-    point.
+    """Fit the common point of the lines of some ends; None if the lines do not meet in one point.
+
+    `member_ends` are rows of `Ends`.
     """
     rows = np.array(member_ends)
     starts, direction = ends.point_mm[rows], ends.direction[rows]
@@ -271,12 +310,12 @@ def _common_point(ends: Ends, member_ends: tuple[int, ...], tuning: MatchTuning)
 def _snap_lines(
     joined: JoinedLines, ends: Ends, corners: list[_Corner], free_end_px: float
 ) -> Corners:
-    """Least-squares fit of the lines under the constraint that the ends at a corner coincide."""
+    """Adjust the lines so that the ends at each corner coincide, by constrained least squares."""
     lines, covariance = joined.lines_mm.copy(), joined.covariance_mm2.copy()
-    rows = [(number, end) for number, corner in enumerate(corners) for end in corner.ends]
+    rows = [(c, end) for c, corner in enumerate(corners) for end in corner.ends]
     corner_ends = np.array(rows, dtype=np.int64).reshape(-1, 2)
-    for number, end in rows:
-        _move_end_to_point(lines, covariance, ends, end, corners[number].point_mm, free_end_px)
+    for c, end in rows:
+        _move_end_to_point(lines, covariance, ends, end, corners[c].point_mm, free_end_px)
     # Connected lines: they share a corner, directly or through other corners.
     earliest = np.array([corner.ends[0] // 2 for corner in corners], dtype=np.int64)
     label = group_labels(len(lines), earliest[corner_ends[:, 0]], corner_ends[:, 1] // 2)
@@ -311,7 +350,11 @@ def _move_end_to_point(
     point_mm: Float[np.ndarray, "3"],
     free_end_px: float,
 ) -> None:
-    """Move one end along its line to a point, in place, and add the variance along the line."""
+    """Move one end along its line to the position nearest to a point, in place.
+
+    The variance of `free_end_px` along the line is added to the covariance of the end. `end` is a
+    row of `ends`.
+    """
     line, side = divmod(end, 2)
     step = lines_mm[line, side] - lines_mm[line, 1 - side]
     share = float((point_mm - lines_mm[line, side]) @ ends.direction[end] / np.linalg.norm(step))
@@ -333,8 +376,10 @@ def _constrain(
     members: Int[np.ndarray, "k"],
     corners: list[tuple[int, ...]],
 ) -> None:
-    """Apply x - S A' (A S A')^-1 A x and its covariance, in place; A x = 0 means that ends
-    coincide.
+    """Adjust the lines `members` so that the ends of each corner coincide, in place.
+
+    With the constraint A x = 0 and the covariance S, the adjusted ends are x - S A' (A S A')^-1 A
+    x.
     """
     row_of_line = {int(line): k for k, line in enumerate(members)}
     equal_ends = [(ends[0], second) for ends in corners for second in ends[1:]]

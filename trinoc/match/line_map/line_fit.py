@@ -28,11 +28,16 @@ STEPS = 4
 
 
 class LineFragments(NamedTuple):
-    """Segments, or parts of them, that show one line, in undistorted pixels.
+    """Segments, or parts of segments, that show one line in space, in undistorted pixels.
 
-    matrix_px : projection matrix of the view of each.
-    ends_px : ends of each, in any order.
-    covariance_px2 : covariance of the ends.
+    Attributes
+    ----------
+    matrix_px : (n, 3, 4)
+        Projection matrix of the view of each segment.
+    ends_px : (n, 2, 2)
+        Ends of each segment, in any sequence.
+    covariance_px2 : (n, 4, 4)
+        Covariance of the ends.
     """
 
     matrix_px: Float[np.ndarray, "n 3 4"]
@@ -41,12 +46,16 @@ class LineFragments(NamedTuple):
 
 
 class LineFit(NamedTuple):
-    """Fitted line, through two points.
+    """Line in space fitted to segments, represented by two points.
 
-    ends_mm : the points, displaced across the line only.
-    covariance_mm2 : covariance of the points across the line, zero along it.
-    chi_square, degrees : misfit of the segments, with the heavy tail of the loss, and its
-        degrees of freedom.
+    Attributes
+    ----------
+    ends_mm : (2, 3)
+        The two points. The fit moves the points only perpendicular to the initial line.
+    covariance_mm2 : (6, 6)
+        Covariance of both points across the line; the part along the line is 0.
+    chi_square, degrees : float and int
+        Misfit of the segments under the heavy-tailed loss, and its degrees of freedom.
     """
 
     ends_mm: Float[np.ndarray, "2 3"]
@@ -60,9 +69,10 @@ def fit_line(
     start_mm: Float[np.ndarray, "2 3"],
     tuning: CollinearTuning = DEFAULT.collinear,
 ) -> LineFit:
-    """Fit a line to segments, starting from two points that move only across it.
+    """Fit a line in space to segments, from an initial line through the two points `start_mm`.
 
-    The covariance is NaN if the segments do not determine a line.
+    The points move only perpendicular to the initial line. The covariance is NaN if the segments do
+    not determine a line.
     """
     step = start_mm[1] - start_mm[0]
     axes = complete_axes(step / np.linalg.norm(step))
@@ -83,9 +93,11 @@ def fit_line(
 def line_residuals(
     fragments: LineFragments, ends_mm: Float[np.ndarray, "2 3"], axes: Float[np.ndarray, "2 3"]
 ) -> Residuals:
-    """Distances of each segment's ends from the line's image, whitened, and their derivatives.
+    """Return the whitened distances of the segments' ends from the image of a line, with
+    derivatives.
 
-    The parameters are the offsets of the line's two points along the two axes.
+    The line passes through the two points `ends_mm`. The derivatives are by the offsets of both
+    points along the two `axes`.
     """
     blocks = fragments.covariance_px2.reshape(-1, 2, 2, 2, 2)
     # The covariance is projected on the segment's normal. A cut end has a very large variance along
@@ -102,7 +114,25 @@ def line_residuals(
 
 
 class TrackTable(NamedTuple):
-    """Tracks with undistorted fragments."""
+    """Tracks with undistorted fragments.
+
+    Attributes
+    ----------
+    index : (t, v)
+        Segment of each view; -1 where the view does not show the track.
+    common_mm : (t, 2, 3)
+        Ends of the common part of the segments, on the line in space.
+    ends_mm, covariance_mm2 : (t, 2, 3) and (t, 6, 6)
+        Ends of the line, and their covariance.
+    fragments_px, fragments_covariance_px2 : (t, v, 2, 2) and (t, v, 4, 4)
+        Ends of the fragments in undistorted pixels, and their covariance.
+    matrix_px : (v, 3, 4)
+        Projection matrices.
+    px_per_mm : (t,)
+        Image displacement per mm in space at the line's midpoint.
+    posterior : (t,)
+        Posterior of each track.
+    """
 
     index: Int[np.ndarray, "t v"]
     common_mm: Float[np.ndarray, "t 2 3"]
@@ -121,9 +151,10 @@ def track_table(
     order: Int[np.ndarray, "t"],
     tuning: TrackTuning = DEFAULT.tracks,
 ) -> TrackTable:
-    """Table of the tracks in the given order.
+    """Build the table of the tracks with the indices `order`.
 
-    If the misfit of most tracks is too large for the stated errors, all covariances are scaled.
+    If most residuals are larger than the stated errors, all covariances are multiplied by one
+    factor.
     """
     noise = 1.0
     if matches.misfit is not None:
@@ -157,7 +188,10 @@ def _common_parts(
     is_observed: Bool[np.ndarray, "t v"],
     ends_mm: Float[np.ndarray, "t 2 3"],
 ) -> Float[np.ndarray, "t 2 3"]:
-    """Points on each line whose images are nearest to the fragments' ends, mean over the views."""
+    """Return the points on each line whose images are nearest to the fragments' ends, (t, 2, 3) mm.
+
+    Each point is the mean over the views that show the line.
+    """
     share = np.zeros((len(ends_mm), 2))
     for view, matrix in enumerate(matrix_px):
         rows = np.flatnonzero(is_observed[:, view])
@@ -171,8 +205,10 @@ def px_per_mm(
     points_mm: Float[np.ndarray, "n 3"],
     is_observed: Bool[np.ndarray, "n v"],
 ) -> Float[np.ndarray, "n"]:
-    """Image displacement per mm across the viewing direction, mean over the views that show the
-    point, (n,).
+    """Return the image displacement per mm in space at each point, (n,).
+
+    The displacement is perpendicular to the viewing ray. The result is the mean over the views that
+    show the point.
     """
     by_point = project_with_jacobian(matrix_px, points_mm[None]).by_point
     scale = np.sqrt((by_point**2).sum(axis=(2, 3)) / 2).T
@@ -180,7 +216,10 @@ def px_per_mm(
 
 
 def collect_fragments(pieces: TrackTable, tracks: tuple[int, ...]) -> LineFragments:
-    """Segments of all tracks, each once: the longest part of each segment represents it."""
+    """Collect the segments of the given tracks, each segment once.
+
+    If several tracks use a segment, its longest fragment is taken.
+    """
     longest: dict[tuple[int, int], tuple[float, int]] = {}
     for track in tracks:
         for view in np.flatnonzero(pieces.index[track] >= 0).tolist():

@@ -1,10 +1,11 @@
 """Posterior of lines in space, given segments of which some have larger errors than stated.
 
-The error of each segment is the stated one times one of a few factors, which is unknown. Given
-the factors, the line is a least-squares fit. Its posterior is the mixture of these fits,
-weighted by the likelihood of the segments. If the views agree, it is hardly wider than one fit.
-If they disagree, it covers every view that may be right. If only two views show a line, nothing
-indicates the factors, and the variance is the mean one of all segments.
+The error of each segment has the stated standard deviation times an unknown factor, one of a few
+values. If the factors are known, the line is a least-squares fit. The posterior of a line is the
+mixture of these fits, weighted by the likelihood of the segments. If the views agree, the posterior
+is hardly wider than one fit. If the views disagree, the posterior covers every view that may be
+right. If only two views show a line, nothing indicates the factors, and the variance is the mean
+one of all segments.
 """
 
 from itertools import combinations, product
@@ -28,10 +29,14 @@ MIN_POSTERIOR = 1e-6
 
 
 class LinePosteriors(NamedTuple):
-    """Mean and covariance of lines at given points.
+    """Posterior mean and covariance of lines, each represented by two points.
 
-    ends_mm : the points, displaced across the line only.
-    covariance_mm2 : covariance of the points, zero along the line.
+    Attributes
+    ----------
+    ends_mm : (e, 2, 3)
+        The two points, moved only perpendicular to the line.
+    covariance_mm2 : (e, 6, 6)
+        Covariance of both points; the part along the line is 0.
     """
 
     ends_mm: Float[np.ndarray, "e 2 3"]
@@ -39,9 +44,20 @@ class LinePosteriors(NamedTuple):
 
 
 class _Equations(NamedTuple):
-    """Normal equations of lines with equally many segments: one term per segment.
+    """Normal equations of l lines with n segments each, separately for every segment.
 
-    `lines` are the indices of the lines.
+    The four unknowns of a line are the offsets of its two points along two axes.
+
+    Attributes
+    ----------
+    lines : (l,)
+        Indices of the lines.
+    information : (l, n, 4, 4)
+        J' J of the whitened residuals of each segment.
+    gradient : (l, n, 4)
+        J' r of each segment.
+    square : (l, n)
+        r' r of each segment.
     """
 
     lines: Int[np.ndarray, "l"]
@@ -51,7 +67,7 @@ class _Equations(NamedTuple):
 
 
 class _Posterior(NamedTuple):
-    """Mean and covariance of the four offsets of each line."""
+    """Posterior mean (l, 4) and covariance (l, 4, 4) of the four unknown offsets of each line."""
 
     offset: Float[np.ndarray, "l 4"]
     covariance: Float[np.ndarray, "l 4 4"]
@@ -64,10 +80,21 @@ def line_posteriors(
     tail: float = 0.0,
     tuning: CollinearTuning = DEFAULT.collinear,
 ) -> LinePosteriors:
-    """Posterior of each line, given its segments, a first estimate, and the posterior of its match.
+    """Compute the posterior of each line from its segments and an initial line.
 
-    A wrong match contains a segment of a neighbouring edge. Its error then has the largest scale
-    of the mixture. `tail` is the `noise_tail` of the matches.
+    Parameters
+    ----------
+    fragments : list of LineFragments
+        Segments of each line.
+    ends_mm : (e, 2, 3)
+        Two points of each initial line.
+    posterior : (e,)
+        Probability that the match is right. A wrong match contains a segment of a neighbouring
+        edge, whose error has the largest scale of the mixture.
+    tail : float
+        `noise_tail` of the matches.
+    tuning : CollinearTuning
+        Tuned constants.
     """
     step = ends_mm[:, 1] - ends_mm[:, 0]
     axes = complete_axes(step / np.linalg.norm(step, axis=1, keepdims=True))
@@ -78,10 +105,10 @@ def line_posteriors(
     shares_of_line = match_posterior * shares + (1 - match_posterior) * np.array([0.0, 0.0, 1.0])
     ends, covariance = ends_mm.copy(), np.zeros((len(ends_mm), 6, 6))
     for group in equations:
-        answer = _line_posterior(group, shares_of_line[group.lines], scales)
+        offsets = _line_posterior(group, shares_of_line[group.lines], scales)
         across = axes[group.lines]
-        ends[group.lines] += answer.offset.reshape(-1, 2, 2) @ across
-        spread = answer.covariance.reshape(-1, 2, 2, 2, 2)
+        ends[group.lines] += offsets.offset.reshape(-1, 2, 2) @ across
+        spread = offsets.covariance.reshape(-1, 2, 2, 2, 2)
         spread = np.einsum("lai,leafb,lbj->leifj", across, spread, across)
         covariance[group.lines] = spread.reshape(-1, 6, 6)
     return LinePosteriors(ends, covariance)
@@ -90,7 +117,7 @@ def line_posteriors(
 def shares_of_tail(
     tail: float, tuning: CollinearTuning = DEFAULT.collinear
 ) -> Float[np.ndarray, "3"]:
-    """Share of each error factor, for errors with the given tail, (3,)."""
+    """Return the probability of each of the three error scales, (3,), for a given `noise_tail`."""
     factor = np.clip(tail / tuning.error_tail, 1.0, tuning.max_share_factor)
     large_shares = factor * np.array(tuning.error_shares[1:])
     return np.concatenate([[1 - large_shares.sum()], large_shares])
@@ -99,7 +126,11 @@ def shares_of_tail(
 def _equations(
     fragments: list[LineFragments], ends_mm: Float[np.ndarray, "e 2 3"], axes: np.ndarray
 ) -> list[_Equations]:
-    """Normal equations, grouped by number of segments. Lines of many segments form a group each."""
+    """Build the normal equations of all lines.
+
+    Lines with equally few segments are processed together. Each line with more than ALL_FACTORS_TO
+    segments is processed alone.
+    """
     counts = np.array([len(line_fragments.ends_px) for line_fragments in fragments], dtype=np.int64)
     groups = [np.flatnonzero(counts == count) for count in np.unique(counts)]
     small_groups = [group for group in groups if counts[group[0]] <= ALL_FACTORS_TO]
@@ -118,9 +149,13 @@ def _equations(
 def _line_posterior(
     equations: _Equations, shares: Float[np.ndarray, "l 3"], scales: Float[np.ndarray, "3"]
 ) -> _Posterior:
-    """Mean and covariance of the mixture over all likely factors."""
+    """Compute the mean and covariance of the mixture over the probable error scales of all
+    segments.
+
+    `shares` are the probabilities of the three error `scales`, for each line.
+    """
     factors = _likely_factors(equations, shares, scales)
-    log_weight, offset, covariance = _fits(equations, factors, shares, scales)
+    log_weight, offset, covariance = _fit_combinations(equations, factors, shares, scales)
     weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
     mean = np.einsum("lk,lka->la", weight, offset)
@@ -130,14 +165,16 @@ def _line_posterior(
     return _Posterior(mean, spread)
 
 
-def _fits(
+def _fit_combinations(
     equations: _Equations,
     factors: Int[np.ndarray, "k n"],
     shares: Float[np.ndarray, "l 3"],
     scales: Float[np.ndarray, "3"],
 ) -> tuple[Float[np.ndarray, "l k"], Float[np.ndarray, "l k 4"], Float[np.ndarray, "l k 4 4"]]:
-    """Fit for each combination of factors: (log likelihood with the line integrated out,
-    offsets, covariance).
+    """Fit each line for every combination of error scales of its n segments.
+
+    `factors` (k, n) are k combinations, as indices of `scales`. Returns (log likelihood with the
+    line integrated out, offsets, covariance).
     """
     scale = scales[factors]
     weight = scale**-2
@@ -153,8 +190,10 @@ def _fits(
 def _likely_factors(
     equations: _Equations, shares: Float[np.ndarray, "l 3"], scales: Float[np.ndarray, "3"]
 ) -> Int[np.ndarray, "k n"]:
-    """Combinations of factors: all of them for few segments, else the most likely one and its
-    neighbours.
+    """Return the combinations of error scales to evaluate, (k, n) indices of `scales`.
+
+    For few segments, all combinations are returned. For many segments, the most probable
+    combination is returned, with all combinations that differ for one or two segments.
     """
     count, kinds = equations.square.shape[1], len(scales)
     if count <= ALL_FACTORS_TO:
@@ -162,23 +201,27 @@ def _likely_factors(
     current = np.zeros(count, dtype=np.int64)
     while True:
         neighbours = _neighbouring_factors(current, kinds)
-        best = neighbours[np.argmax(_fits(equations, neighbours, shares, scales)[0][0])]
+        best = neighbours[np.argmax(_fit_combinations(equations, neighbours, shares, scales)[0][0])]
         if (best == current).all():
             return neighbours
         current = best
 
 
 def _neighbouring_factors(current: Int[np.ndarray, "n"], kinds: int) -> Int[np.ndarray, "k n"]:
-    """The given factors, and those that differ for one segment or two."""
+    """Return the combination of error scales `current`, and its neighbours.
+
+    A neighbour has other error scales for one or two segments. For many segments, only neighbours
+    that differ for one segment are returned. `kinds` is the number of error scales.
+    """
     count = len(current)
     changed_sets = [(), *((i,) for i in range(count))]
     if count <= PAIRS_TO:
         changed_sets += combinations(range(count), 2)
-    combinations_found = []
+    factor_rows = []
     for changed in changed_sets:
         alternatives = [[kind for kind in range(kinds) if kind != current[i]] for i in changed]
         for values in product(*alternatives):
             changed_factors = current.copy()
             changed_factors[list(changed)] = values
-            combinations_found.append(changed_factors)
-    return np.array(combinations_found)
+            factor_rows.append(changed_factors)
+    return np.array(factor_rows)

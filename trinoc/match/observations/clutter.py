@@ -17,11 +17,15 @@ _FEW = 512
 
 
 class ClutterModel(NamedTuple):
-    """Distribution of segments that belong to no line.
+    """Statistical model of clutter, the segments that belong to no line.
 
-    log_density : (v, n) about each segment, log of the number per px^2 and radian, N / (pi A).
-    typical_px : typical length t. Lengths have the density t / (length + t)^2. One value per
-        frame of a stack.
+    Attributes
+    ----------
+    log_density : (v, n)
+        Log of the number of segments per px^2 and radian near each segment.
+    typical_px : ()
+        Typical length t. The density of a length is t / (length + t)^2. One value for each frame of
+        a stack.
     """
 
     log_density: Float[ArrayLike, "v n"]
@@ -31,8 +35,10 @@ class ClutterModel(NamedTuple):
 def fit_clutter(
     lines: SegmentTable, counts: list[int], tuning: ClutterTuning = DEFAULT.clutter
 ) -> ClutterModel:
-    """Fit the clutter model to all segments of a frame, since most of them belong to other
-    lines.
+    """Fit the clutter model to all segments of a frame.
+
+    All segments are used, because nearly all are clutter for any one line. `counts` is the number
+    of segments in each view.
     """
     sizes = np.asarray(lines.size_px)
     sizes = sizes[None] if lines.frame is None else sizes
@@ -64,10 +70,10 @@ def _distance_to_neighbour(
     segments_of_frame: Int[np.ndarray, "f"],
     neighbour: int,
 ) -> Float[np.ndarray, "n"]:
-    """Distance to the neighbour of the given rank in the same frame, (n,) px; infinite if there is
-    none.
+    """Distance of each segment midpoint to its k-th nearest midpoint of the same frame, (n,) px.
 
-    The segments of the frames follow each other, with `segments_of_frame` in each.
+    k is `neighbour`. The distance is inf if the frame has too few segments. The segments are sorted
+    by frame, with `segments_of_frame` in each frame.
     """
     largest_count = int(segments_of_frame.max())
     if largest_count > _FEW:  # a frame alone
@@ -89,7 +95,7 @@ def _distance_to_neighbour(
 def _mean_density(
     middle_px: Float[np.ndarray, "n 2"], frame: Int[np.ndarray, "n"], area_px2: np.ndarray
 ) -> Float[np.ndarray, "f"]:
-    """Mean number of segments per px^2, for each frame, (f,)."""
+    """Number of segments per px^2, mean over the occupied part of the image, for each frame."""
     frames = len(area_px2)
     count = np.bincount(frame, minlength=frames)[:, None]
     mean = group_sums(middle_px, frame, frames) / np.maximum(count, 1)

@@ -23,7 +23,10 @@ RAYS = 9
 
 
 def check_not_mirrored(cameras: Mapping[str, Camera]) -> None:
-    """Raise InputError if a camera is mirrored, by its rotation or by its viewing direction."""
+    """Raise `InputError` if a camera is mirrored.
+
+    Its rotation has determinant -1, or the scene of the other cameras lies behind the camera.
+    """
     for name, camera in cameras.items():
         if np.linalg.det(np.asarray(camera.cam_from_world)[:, :3]) < 0:
             raise InputError(sentences.camera_mirrored(name, sentences.NEGATIVE_DETERMINANT))
@@ -48,13 +51,15 @@ def check_not_mirrored(cameras: Mapping[str, Camera]) -> None:
 
 
 def views_diverge(cameras: Mapping[str, Camera]) -> bool:
-    """Test whether all pairs of cameras have a common field of view behind them."""
+    """True if every pair of cameras has a common field of view behind both cameras."""
     pairs = combinations(cameras.values(), 2)
     return all(_see_common_space(first, second, -1, -1) for first, second in pairs)
 
 
 def mirror_rig(rig: Rig) -> Rig:
-    """The same cameras in a mirrored world: space behind them lies before them."""
+    """Return the rig in a mirrored world, in which the space behind the cameras lies in front of
+    them.
+    """
     flip = -np.diag([1.0, 1.0, -1.0, 1.0])
     return Rig(
         {
@@ -65,14 +70,18 @@ def mirror_rig(rig: Rig) -> Rig:
 
 
 def mirrored_rig_error(names: Iterable[str], before: int, behind: int) -> InputError:
-    """Error for a rig with more lines behind all cameras than before them."""
+    """Return the error for a mirrored rig.
+
+    `before` and `behind` are the numbers of lines in front of the cameras and behind the cameras.
+    """
     return InputError(sentences.rig_mirrored(names, before, behind))
 
 
 def _see_common_space(first: Camera, second: Camera, side_first: int, side_second: int) -> bool:
-    """Test whether a ray of the first camera passes through the second camera's field of view.
+    """True if a ray of the first camera passes through the second camera's field of view.
 
-    Each side is 1 before the camera, -1 behind it.
+    `side_first` and `side_second` are 1 for the space in front of the camera, -1 for that behind
+    it.
     """
     matrix = np.asarray(second.matrix_px)
     centre = np.asarray(first.centre_world_mm)
@@ -92,7 +101,7 @@ def _see_common_space(first: Camera, second: Camera, side_first: int, side_secon
 
 
 def _rays(camera: Camera) -> Float[np.ndarray, "r 3"]:
-    """Directions of rays on a grid over the image, (r, 3)."""
+    """Return the directions of viewing rays on a grid over the image, (r, 3), world frame."""
     width, height = camera.image_size_px
     u, v = np.meshgrid(np.linspace(0, width, RAYS), np.linspace(0, height, RAYS))
     points = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)])

@@ -44,7 +44,19 @@ BEYOND_FOLD = "beyond the fold of the lens"
 
 
 class CamerasInput(NamedTuple):
-    """Projection matrices, centres, image sizes and intrinsics, in the order of the views."""
+    """Cameras of a frame as arrays, one row for each view.
+
+    Attributes
+    ----------
+    matrix_px : (v, 3, 4)
+        Projection matrices.
+    centre_mm : (v, 3)
+        Centres of projection, world frame.
+    size_px : (v, 2)
+        Width and height of the images.
+    intrinsics : tuple of Intrinsics
+        Lenses.
+    """
 
     matrix_px: Float[np.ndarray, "v 3 4"]
     centre_mm: Float[np.ndarray, "v 3"]
@@ -52,7 +64,7 @@ class CamerasInput(NamedTuple):
     intrinsics: tuple[Intrinsics, ...]
 
     def take(self, views: list[int]) -> "CamerasInput":
-        """The cameras of the given views, in that order."""
+        """Return the cameras of the views with the given indices."""
         intrinsics = tuple(self.intrinsics[view] for view in views)
         return CamerasInput(
             self.matrix_px[views], self.centre_mm[views], self.size_px[views], intrinsics
@@ -60,16 +72,27 @@ class CamerasInput(NamedTuple):
 
 
 class FrameInput(NamedTuple):
-    """Segments and cameras of one frame, with views in an order that does not depend on their
-    names.
+    """Segments and cameras of one frame, as the matcher uses them.
 
-    names : names of the views.
-    order : (n,) per view, the caller's number of each segment.
-    ends_px : (n, 2, 2) per view, undistorted.
-    covariance_px2 : (n, 4, 4) per view.
-    polarity, sides : per view, as in SegmentTable.
-    cameras : their matrices, sizes and lenses.
-    exclusion_reasons : per view, one string for each of the caller's segments, "" if it is used.
+    Views are sorted by their segments, and segments by position. The lists have one array for each
+    view.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the views.
+    order : list of (n,)
+        Index of each segment in the caller's input.
+    ends_px : list of (n, 2, 2)
+        Ends in undistorted pixels.
+    covariance_px2 : list of (n, 4, 4)
+        Covariance of the ends.
+    polarity, sides : lists of (n,) and (n, 7)
+        As in SegmentTable.
+    cameras : CamerasInput
+        Cameras of the views.
+    exclusion_reasons : list of (k,) str
+        Reason why a segment of the caller's input is excluded; "" for used segments.
     """
 
     names: tuple[str, ...]
@@ -83,11 +106,20 @@ class FrameInput(NamedTuple):
 
 
 class MatchInput(NamedTuple):
-    """One frame, or a stack of frames with the same number of views, as one table per view.
+    """Input of the matcher: one frame, or a stack of frames with the same number of views.
 
-    ends_px : (n, 2, 2) per view, undistorted; the frames follow each other.
-    covariance_px2 : (n, 4, 4) per view.
-    lines : the padded tables of all views.
+    The lists have one array for each view, with the segments of all frames, frame after frame.
+
+    Attributes
+    ----------
+    frames : tuple of FrameInput
+        The frames.
+    ends_px : list of (n, 2, 2)
+        Ends in undistorted pixels.
+    covariance_px2 : list of (n, 4, 4)
+        Covariance of the ends.
+    lines : SegmentTable
+        Segments of all views, padded to one length.
     """
 
     frames: tuple[FrameInput, ...]
@@ -97,25 +129,26 @@ class MatchInput(NamedTuple):
 
     @property
     def counts(self) -> list[int]:
-        """Number of segments in each view."""
+        """Number of segments in each view, over all frames."""
         return [len(ends) for ends in self.ends_px]
 
     @property
     def starts(self) -> Int[np.ndarray, "_ v"]:
-        """First segment of each frame in every view, and the total count in the last row, (f +
-        1, v).
+        """Index of the first segment of each frame, in every view, (f + 1, v).
+
+        The last row is the number of segments in each view.
         """
         counts = np.array([[len(ends) for ends in frame.ends_px] for frame in self.frames])
         return np.concatenate([np.zeros_like(counts[:1]), np.cumsum(counts, axis=0)])
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the views of a single frame."""
+        """Names of the views, for a single frame."""
         return self.frames[0].names
 
     @property
     def order(self) -> list[Int[np.ndarray, "_"]]:
-        """The caller's numbers of the segments of a single frame."""
+        """Indices of the segments in the caller's input, for a single frame."""
         return self.frames[0].order
 
 
@@ -125,17 +158,22 @@ def prepare(
     sigma_px: float | None,
     tuning: SideTuning = DEFAULT.sides,
 ) -> MatchInput:
-    """Check and prepare one frame. Raises MatchError or InputError."""
+    """Check the segments and cameras of one frame, and build the input of the matcher.
+
+    Invalid input raises `MatchError` or `InputError`.
+    """
     return stack_frames([prepare_frame(segments, rig, sigma_px, tuning)])
 
 
 def prepare_cameras(rig: Rig, names: Iterable[str]) -> CamerasInput:
-    """Check the cameras of a rig and return the data that the matcher needs.
+    """Check the cameras of a rig, and return their data as arrays.
 
     Raises
     ------
-    InputError : a camera is mirrored.
-    MatchError : two cameras have the same centre, or the fold of a lens leaves too little of its
+    InputError
+        If a camera is mirrored.
+    MatchError
+        If two cameras have the same centre, or a lens can be inverted only in a small part of its
         image.
     """
     cameras = {name: rig[name] for name in names}
@@ -157,8 +195,9 @@ def prepare_frame(
     tuning: SideTuning = DEFAULT.sides,
     cameras: CamerasInput | None = None,
 ) -> FrameInput:
-    """Check and prepare the segments of one frame. `cameras` is the result of `prepare_cameras`,
-    if available.
+    """Check the segments of one frame, undistort them, and sort views, segments and ends.
+
+    `cameras` is the result of `prepare_cameras`; if it is None, the cameras are prepared here.
     """
     _check_names(segments, rig)
     _check_counts(segments)
@@ -188,7 +227,7 @@ def prepare_frame(
 
 
 def stack_frames(frames: Sequence[FrameInput]) -> MatchInput:
-    """Stack frames with the same number of views into one problem."""
+    """Join frames with the same number of views to one input of the matcher."""
     ends, covariances, polarities, sides = (
         [np.concatenate(column) for column in zip(*columns, strict=True)]
         for columns in zip(*(frame[2:6] for frame in frames), strict=True)
@@ -222,7 +261,8 @@ class _PreparedView(NamedTuple):
 def _prepare_view(
     segments: Segments | ArrayLike, lens: Intrinsics, sigma_px: float | None
 ) -> _PreparedView:
-    """Undistort the segments of a view and sort them by coordinates, each from left to right.
+    """Undistort the segments of a view, sort the ends of each from left to right, and sort the
+    segments.
 
     Segments with an end beyond the fold of the lens are excluded.
     """
@@ -248,9 +288,10 @@ def _prepare_view(
 def order_ends(
     ends_px: Float[np.ndarray, "n 2 2"], covariance_px2: Float[np.ndarray, "n 4 4"]
 ) -> tuple[Float[np.ndarray, "n 2 2"], Float[np.ndarray, "n 4 4"], Bool[np.ndarray, "n"]]:
-    """Sort the ends of each segment from left to right, vertical ones from top to bottom.
+    """Sort the two ends of each segment from left to right, and those of vertical segments
+    downward.
 
-    Returns the ends, their covariance, and the mask of segments whose ends were exchanged.
+    Returns the ends, their covariance, and the mask of the segments whose ends were exchanged.
     """
     (u0, v0), (u1, v1) = np.moveaxis(ends_px, 0, -1)
     is_swapped = (u0 > u1) | ((u0 == u1) & (v0 > v1))
@@ -303,7 +344,7 @@ def _check_lenses(names: Iterable[str], rig: Rig) -> None:
 
 
 def _check_different(views: Mapping[str, _PreparedView]) -> None:
-    """Raise MatchError if two views have the same segments."""
+    """Raise `MatchError` if two views have the same segments."""
     for first, second in combinations(views, 2):
         ends = views[first].ends_px
         if len(ends) >= MIN_COMPARED_SEGMENTS and np.array_equal(ends, views[second].ends_px):
@@ -345,11 +386,11 @@ def _as_segments(segments: Segments | ArrayLike, sigma_px: float | None) -> Segm
 
 
 def with_noise_scale(inputs: MatchInput, scale: Float[np.ndarray, "f"]) -> MatchInput:
-    """Scale the standard deviations across the segments by the `scale` of their frame.
+    """Return the input with the errors across the segments multiplied by the `scale` of each frame.
 
-    The errors along a segment stay: they depend on where the detector stops, not on noise. A
-    scale below 1 does not reduce the error that is common to both ends
-    (`common_error_variance`), because misfits do not show it.
+    The errors along a segment stay, because they depend on where the detector ends the segment, not
+    on noise. A scale below 1 does not reduce the error that is common to both ends
+    (`common_error_variance`), because residuals do not show that error.
     """
     if (scale == 1.0).all():
         return inputs
@@ -371,13 +412,17 @@ def with_noise_scale(inputs: MatchInput, scale: Float[np.ndarray, "f"]) -> Match
 
 
 def common_error_variance(across_px2: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, "n"]:
-    """Variance of the error that moves each segment as a whole, beyond the effect of noise, (n,)
-    px^2.
+    """Variance of the error that displaces a segment as a whole in all images alike, (n,) px^2.
 
-    A neighbouring edge or saturation moves an edge toward the same side in all its images. The
-    images then agree on a wrong position. Noise of variance v moves the middle of a segment and
-    turns it: its ends have variance 4 v and covariance -2 v. A common error of variance c makes
-    these 4 v + c and c - 2 v. The result is 0 for ends that err independently.
+    `across_px2` is the covariance of the two ends across the segment. Such a displacement has
+    causes in the scene, such as a neighbouring edge or saturation. All images then agree on a wrong
+    position.
+
+    Notes
+    -----
+    Noise of variance v gives the ends the variance 4 v and the covariance -2 v. A displacement of
+    variance c changes these to 4 v + c and c - 2 v. The result c is 0 for ends with independent
+    errors.
     """
     end_covariance = across_px2[:, 0, 1]
     smaller_variance = np.minimum(across_px2[:, 0, 0], across_px2[:, 1, 1])

@@ -11,14 +11,17 @@ from trinoc.numerics.precision import ArrayLike
 
 
 def as_segments(segments: Segments | ArrayLike) -> Segments:
-    """Convert an array of ends to Segments; Segments stay as they are."""
+    """Convert an array of segment ends to `Segments`; return `Segments` unchanged."""
     return segments if isinstance(segments, Segments) else Segments.from_endpoints(segments)
 
 
 def segments_of_views(
     task: str, views: Sequence[str], segments: Mapping[str, Segments | ArrayLike]
 ) -> dict[str, Segments]:
-    """Segments of every view. Raises InputError if a view has none; `task` begins the message."""
+    """Return the segments of every view. Raise `InputError` if a view has no segments.
+
+    `task` is the name of the task, with which the error message begins.
+    """
     _expect_all(task, views, "segments", segments)
     return {name: as_segments(segments[name]) for name in views}
 
@@ -26,8 +29,9 @@ def segments_of_views(
 def check_pictures(
     task: str, views: Sequence[str], rig: Rig, pictures: Mapping[str, np.ndarray]
 ) -> None:
-    """Raise InputError if a view has no image, or one of another size. `task` begins the
-    message.
+    """Raise `InputError` if a view has no image, or an image of another size than its camera.
+
+    `task` is the name of the task, with which the error message begins.
     """
     _expect_all(task, views, "image", pictures)
     for name in views:

@@ -23,13 +23,13 @@ def side_table(
     middles_px: Sequence[Float[np.ndarray, "_ 2"]],
     tuning: SideTuning = DEFAULT.sides,
 ) -> list[Float[np.ndarray, "_ 7"]]:
-    """Table of the grey levels beside the segments of each view, (n, 7), NaN where not known.
+    """Return the grey levels beside the segments of each view and their densities, (n, 7) each.
 
-    Columns 0, 1: level on the right and on the left, in hundredths of the range of all levels.
-    Columns 2 to 4: log density under clutter of the right level, of the left one, and of both
-    together. Columns 5, 6: for segments without levels, the contrast in hundredths of the
-    largest, and its log density. Each density is that of the nearby segments or of the image,
-    whichever is larger.
+    Unknown values are NaN. Columns 0 and 1 are the levels on the right and on the left, as
+    percentages of the range of all levels. Columns 2 to 4 are log densities under clutter: of the
+    right level, of the left level, and of both together. For segments without levels, column 5 is
+    the contrast as a percentage of the largest contrast. Column 6 is its log density. Each density
+    is the larger of two: among the nearby segments, or among all segments of the image.
     """
     has_values = (np.isfinite(view).any() for view in (*levels, *contrasts))
     if not any(has_values):
@@ -97,8 +97,9 @@ def _are_known(levels: Float[np.ndarray, "n 2"]) -> np.ndarray:
 def _level_density_in_image(
     levels: Float[np.ndarray, "n 2"], tuning: SideTuning
 ) -> Float[np.ndarray, "n 3"]:
-    """Density of the right level, the left level and both, among the segments of one image, (n,
-    3).
+    """Probability density of each segment's levels among all segments of an image, (n, 3).
+
+    The columns are the densities of the right level, of the left level, and of both together.
     """
     if len(levels) == 0:
         return np.zeros((0, 3))
@@ -116,15 +117,21 @@ def _level_density_in_image(
 
 
 def _smooth(counts: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Smooth a histogram by a Gaussian of one bin. SciPy's version takes 0.1 s to import."""
+    """Smooth a histogram with a Gaussian whose standard deviation is one bin.
+
+    OpenCV is used because SciPy's filters take 0.1 s to import.
+    """
     return cv2.GaussianBlur(counts, (9, 9), 1.0, borderType=cv2.BORDER_REPLICATE)
 
 
 def _level_density_nearby(
     levels: Float[np.ndarray, "n 2"], middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning
 ) -> Float[np.ndarray, "n 3"]:
-    """The same densities among the nearest segments of each segment, (n, 3)."""
-    nearest = _nearest(middles_px, tuning)
+    """Probability density of each segment's levels among nearby segments, (n, 3).
+
+    The columns are the densities of the right level, of the left level, and of both together.
+    """
+    nearest = _nearest_segments(middles_px, tuning)
     if nearest.shape[1] == 0:
         return np.zeros((len(levels), 3))
     difference = levels[:, None, :, None] - levels[nearest][:, :, None, :]
@@ -138,7 +145,7 @@ def _level_density_nearby(
 
 
 def _contrast_density_in_image(contrast: Float[np.ndarray, "n"], tuning: SideTuning) -> np.ndarray:
-    """Density of each contrast among the segments of one image, (n,)."""
+    """Probability density of each segment's contrast among all segments of an image, (n,)."""
     if len(contrast) == 0:
         return np.zeros(0)
     width, any_level = tuning.bin_width, tuning.any_level_share
@@ -152,16 +159,18 @@ def _contrast_density_in_image(contrast: Float[np.ndarray, "n"], tuning: SideTun
 def _contrast_density_nearby(
     contrast: Float[np.ndarray, "n"], middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning
 ) -> np.ndarray:
-    """The same density among the nearest segments of each segment, (n,)."""
-    nearest = _nearest(middles_px, tuning)
+    """Probability density of each segment's contrast among nearby segments, (n,)."""
+    nearest = _nearest_segments(middles_px, tuning)
     # The difference of two levels has twice the variance of one.
     width = np.sqrt(2) * tuning.agreement_scales[0]
     kernel = np.exp(-0.5 * ((contrast[:, None] - contrast[nearest]) / width) ** 2)
     return kernel.sum(axis=1) / (max(nearest.shape[1], 1) * np.sqrt(2 * np.pi) * width)
 
 
-def _nearest(middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning) -> np.ndarray:
-    """Indices of the nearest segments of each segment; no columns if there are fewer than two."""
+def _nearest_segments(middles_px: Float[np.ndarray, "n 2"], tuning: SideTuning) -> np.ndarray:
+    """Return the indices of the nearest segments of each segment, (n, k); k is 0 if there are too
+    few.
+    """
     count = min(tuning.neighbours, len(middles_px) - 1)
     if count < 2:
         return np.zeros((len(middles_px), 0), dtype=np.int64)

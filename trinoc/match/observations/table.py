@@ -13,8 +13,9 @@ from trinoc.numerics.precision import ArrayLike
 
 
 class BlockSize(NamedTuple):
-    """Rows that a kernel receives at a time: `per_segment` for each segment of a view, at most
-    `limit`.
+    """Number of rows that a compiled program processes in one call.
+
+    The number is `per_segment` times the number of segments of a view, at most `limit`.
     """
 
     per_segment: int
@@ -26,23 +27,38 @@ PAIRS_IN_BLOCK, TRIPLES_IN_BLOCK = BlockSize(16, 1 << 16), BlockSize(4, 1 << 11)
 
 
 class SegmentTable(NamedTuple):
-    """Segments of all views in undistorted pixels; rows beyond a view's count are padding.
+    """Segments and cameras of all views as padded arrays; rows beyond a view's count are padding.
 
-    The table is of one frame, or of a stack of frames with the same number of views. In a stack,
-    the segments of the frames follow each other, and camera fields have a leading axis of frames.
+    The table belongs to one frame, or to a stack: several frames that are matched as one problem.
+    In a stack, a view contains the segments of all frames, frame after frame. The first four
+    attributes then have a leading axis of frames.
 
-    matrix_px : projection matrices, scaled so that the third row gives the depth.
-    centre_mm : centres of projection.
-    inverse : inverse of the left 3x3 block of each matrix.
-    size_px : width and height of each image.
-    ends_px : ends of each segment.
-    line : line through the ends, with unit normal.
-    across_px2 : covariance of the two ends' errors across the segment.
-    length_px : distance between the ends.
-    polarity : +1, -1, or 0 if not known.
-    sides : result of `side_intensity.side_table`.
-    rays : viewing rays of both ends, world frame, of any length.
-    frame : frame of each segment in a stack.
+    Attributes
+    ----------
+    matrix_px : (v, 3, 4)
+        Projection matrices, scaled so that the third row gives the depth.
+    centre_mm : (v, 3)
+        Centres of projection, world frame.
+    inverse : (v, 3, 3)
+        Inverse of the left 3x3 block of each matrix.
+    size_px : (v, 2)
+        Width and height of each image.
+    ends_px : (v, n, 2, 2)
+        Ends of each segment, undistorted pixels.
+    line : (v, n, 3)
+        Line through the ends, a u + b v + c = 0 with the unit normal (a, b).
+    across_px2 : (v, n, 2, 2)
+        Covariance of the errors of the two ends across the segment.
+    length_px : (v, n)
+        Distance between the ends.
+    polarity : (v, n)
+        Darker side: +1 if on the right, -1 if on the left, 0 if unknown.
+    rays : (v, n, 2, 3)
+        Viewing rays of both ends, world frame, not normalised.
+    sides : (v, n, 7)
+        Result of `side_table`.
+    frame : (v, n) or None
+        Frame of each segment in a stack.
     """
 
     matrix_px: Float[ArrayLike, "*f v 3 4"]
@@ -68,8 +84,9 @@ def segment_table(
     sides: Sequence[Float[np.ndarray, "_ 7"]],
     frames: Sequence[Int[np.ndarray, "_"]] | None = None,
 ) -> SegmentTable:
-    """Build the tables of all views, padded to one size. `frames` are the frames of a stack's
-    segments.
+    """Build the table of all views. Every view is padded to the same length.
+
+    `frames` are the frames of the segments of each view, for a stack of frames.
     """
     size = bucket(max(len(ends) for ends in ends_px))
     # Rows of padding are a valid segment, which avoids division by zero.
@@ -127,8 +144,9 @@ def _build_table(
 def look_up_frames(
     lines: SegmentTable, index: Int[np.ndarray, "m v"]
 ) -> Int[np.ndarray, "m"] | None:
-    """Frame of each group of segments, (m,); None for a single frame. Views with index -1 are
-    ignored.
+    """Return the frame of each candidate of a stack, (m,), or None for a single frame.
+
+    `index` (m, v) are the segments of each candidate, -1 in views without a segment.
     """
     if lines.frame is None:
         return None
@@ -137,7 +155,7 @@ def look_up_frames(
 
 
 def segments_per_view(lines: SegmentTable, counts: list[int]) -> Float[np.ndarray, "*f"] | float:
-    """Mean number of segments per view, for each frame."""
+    """Return the number of segments per view, mean over the views, for each frame."""
     if lines.frame is None:
         return float(np.mean(counts))
     frame, frames = np.asarray(lines.frame), len(lines.matrix_px)
@@ -151,9 +169,7 @@ def segments_per_view(lines: SegmentTable, counts: list[int]) -> Float[np.ndarra
 def take_matrices(
     lines: SegmentTable, frame: Int[np.ndarray, "m"] | None
 ) -> Float[np.ndarray, "_ v 3 4"]:
-    """Projection matrices of the frame of each group; one row for all if there is a single
-    frame.
-    """
+    """Return the projection matrices for each of m frame indices; one row for a single frame."""
     matrix = np.asarray(lines.matrix_px)
     return matrix[None] if frame is None else matrix[frame]
 
@@ -161,12 +177,14 @@ def take_matrices(
 def project_covariance_across(
     normal: Float[np.ndarray, "*n 2"], covariance_px2: Float[np.ndarray, "*n 4 4"]
 ) -> Float[np.ndarray, "*n 2 2"]:
-    """Covariance of the two ends' displacements along the normal of their line, (n, 2, 2)."""
+    """Return the covariance of the displacements of the two ends along the segment's normal, (n, 2,
+    2).
+    """
     blocks = covariance_px2.reshape(*normal.shape[:-1], 2, 2, 2, 2)
     across = (blocks * normal[..., None, None, None, :]).sum(-1)
     return (across * normal[..., None, :, None]).sum(-2)
 
 
 def block_size(lines: SegmentTable, block: BlockSize) -> int:
-    """Number of rows to pass to a kernel at a time; fewer for images with few segments."""
+    """Return the number of rows to pass to a compiled program in one call."""
     return min(block.limit, block.per_segment * lines.ends_px.shape[1])

@@ -24,10 +24,11 @@ _NEAREST = 8
 def exclude_unusable(
     frame: FrameInput, tuning: ObservationTuning = DEFAULT.observations
 ) -> FrameInput:
-    """The frame without unusable segments. `exclusion_reasons` states the reason for each of
-    them.
+    """Return the frame without segments that are too uncertain or that duplicate another segment.
+
+    `exclusion_reasons` of the result contains the reason for each excluded segment.
     """
-    kept_rows, all_reasons = [], []
+    selected_rows, all_reasons = [], []
     for order, ends, covariance, polarity, view_reasons in zip(
         frame.order,
         frame.ends_px,
@@ -44,12 +45,14 @@ def exclude_unusable(
         ]
         reasons = np.full(len(ends), POSITION_UNKNOWN, dtype="U40")
         reasons[located], reasons[distinct] = DUPLICATE, ""
-        kept_rows.append(distinct)
+        selected_rows.append(distinct)
         reasons_of_view = view_reasons.astype("U40")
         reasons_of_view[order] = reasons
         all_reasons.append(reasons_of_view)
     columns = {
-        name: [column[rows] for column, rows in zip(getattr(frame, name), kept_rows, strict=True)]
+        name: [
+            column[rows] for column, rows in zip(getattr(frame, name), selected_rows, strict=True)
+        ]
         for name in ("order", "ends_px", "covariance_px2", "polarity", "sides")
     }
     return frame._replace(**columns, exclusion_reasons=all_reasons)
@@ -58,7 +61,7 @@ def exclude_unusable(
 def sigma_across_px(
     ends_px: Float[np.ndarray, "n 2 2"], covariance_px2: Float[np.ndarray, "n 4 4"]
 ) -> Float[np.ndarray, "n"]:
-    """Standard deviation of each segment across itself, at its less precise end, (n,) px."""
+    """Return the standard deviation across each segment, at its less precise end, (n,) px."""
     step = ends_px[:, 1] - ends_px[:, 0]
     length = np.linalg.norm(step, axis=1, keepdims=True)
     normal = np.stack([-step[:, 1], step[:, 0]], axis=1) / length
@@ -72,10 +75,10 @@ def first_of_duplicates(
     polarity: Int[np.ndarray, "n"],
     tuning: ObservationTuning = DEFAULT.observations,
 ) -> Int[np.ndarray, "k"]:
-    """Rows of the segments that do not duplicate an earlier one, (k,).
+    """Return the indices of the segments that do not duplicate an earlier segment, (k,).
 
-    Two segments are equal if their ends agree within a share of their sigma across, and their
-    polarities are not opposite.
+    Two segments are duplicates if their ends coincide within a share of their sigma across, and
+    their polarities are not opposite.
     """
     rows = np.arange(len(ends_px))
     while len(rows) > 1:
@@ -94,7 +97,11 @@ def _duplicate_pairs(
     radius: Float[np.ndarray, "n"],
     polarity: Int[np.ndarray, "n"],
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
-    """Some of the pairs of equal rows: those among the nearest rows of each."""
+    """Return pairs of duplicate segments, as two arrays of indices.
+
+    Only the nearest segments of each segment are compared, so some pairs are missing. `positions`
+    are the four coordinates of the ends.
+    """
     neighbours = min(_NEAREST, len(positions))
     distance, nearest = KDTree(positions).query(
         positions, k=neighbours, distance_upper_bound=radius.max()

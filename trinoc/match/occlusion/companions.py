@@ -25,10 +25,17 @@ _FRAME_APART_PX = 1e6
 
 
 class ImageNeighbours(NamedTuple):
-    """Directed pairs of neighbouring segments in one image.
+    """Ordered pairs of neighbouring segments in one image.
 
-    side : 1 if `second` lies on the right of `first`, seen from its first end to its second, or
-        continues its second end. Otherwise 0.
+    Attributes
+    ----------
+    first, second : (e,)
+        Indices of the two segments.
+    kind : (e,)
+        BESIDE for parallel neighbours, CONTINUES for a neighbour that continues an end.
+    side : (e,)
+        For BESIDE, 1 if `second` lies on the right of `first`, seen from its first end. For
+        CONTINUES, 1 if `second` continues the second end of `first`. Otherwise 0.
     """
 
     first: Int[np.ndarray, "e"]
@@ -42,7 +49,7 @@ def image_neighbours(
     tuning: MatchTuning,
     frame: Int[np.ndarray, "n"] | None = None,
 ) -> ImageNeighbours:
-    """Parallel and continuing neighbours among the segments of each frame."""
+    """List the pairs of neighbouring segments in one image, for each frame of a stack."""
     if frame is not None:
         ends_px = ends_px + np.stack([frame * _FRAME_APART_PX, 0.0 * frame], axis=1)[:, None]
     step = ends_px[:, 1] - ends_px[:, 0]
@@ -62,8 +69,9 @@ def _find_parallels(
     length: Float[np.ndarray, "n"],
     tuning: MatchTuning,
 ) -> ImageNeighbours:
-    """Neighbours that are nearly parallel, close, on one side, and overlap by half of the
-    shorter.
+    """List the neighbours that are nearly parallel, close and on one side of a segment.
+
+    Their common part is at least half of the shorter segment.
     """
     smallest_px, largest_px = tuning.occlusion.companion_distance_px
     # Sample points on each segment, dense enough that two parallel neighbours have near samples.
@@ -75,8 +83,8 @@ def _find_parallels(
         1.2 * largest_px, output_type="ndarray"
     )
     i, j = owner[near_samples].T
-    number = np.unique(np.concatenate([i * len(length) + j, j * len(length) + i]))
-    i, j = np.divmod(number, len(length))
+    pair_id = np.unique(np.concatenate([i * len(length) + j, j * len(length) + i]))
+    i, j = np.divmod(pair_id, len(length))
     sine = unit[i, 0] * unit[j, 1] - unit[i, 1] * unit[j, 0]
     is_parallel = (i != j) & (np.abs(sine) < tuning.junctions.smallest_sine)
     i, j = i[is_parallel], j[is_parallel]
@@ -96,8 +104,9 @@ def _find_parallels(
 def _find_continuations(
     ends_px: Float[np.ndarray, "n 2 2"], unit: Float[np.ndarray, "n 2"], tuning: MatchTuning
 ) -> ImageNeighbours:
-    """Neighbours with a near end and nearly the same direction. Ends at an angle are junctions
-    instead.
+    """List the pairs of segments with two ends close together and nearly the same direction.
+
+    Segments whose ends meet at an angle are not listed, because these are junctions.
     """
     radius_px = tuning.occlusion.continuation_px
     near_ends = KDTree(ends_px.reshape(-1, 2)).query_pairs(radius_px, output_type="ndarray")
@@ -115,7 +124,18 @@ def _find_continuations(
 
 
 class Companions(NamedTuple):
-    """Directed: each `pair` has the `companion` of a `kind`."""
+    """Companions of candidate pairs of segments.
+
+    A companion is another candidate whose segments are neighbours of the pair's segments in all
+    common views, such as the other side of a bar.
+
+    Attributes
+    ----------
+    pair, companion : (e,)
+        Index of the candidate, and index of its companion.
+    kind : (e,)
+        BESIDE or CONTINUES.
+    """
 
     pair: Int[np.ndarray, "e"]
     companion: Int[np.ndarray, "e"]
@@ -128,9 +148,10 @@ def find_companions(
     ends_px: Float[np.ndarray, "v n 2 2"],
     tuning: MatchTuning,
 ) -> Companions:
-    """Companions of all pairs among the `likely` rows, in all views that show both.
+    """Find the companions of all candidates. Only the candidates `likely_rows` can be companions.
 
-    At least two views show both, by different segments.
+    A candidate and its companion have at least two common views. In every common view, their two
+    segments are different, and are neighbours of the same kind and on the same side.
     """
     index, count, frame = candidates.index, len(candidates.index), candidates.frame
     forward = candidates.interval[..., 1] > candidates.interval[..., 0]
@@ -162,8 +183,10 @@ def _candidates_of_neighbours(
     rows: Int[np.ndarray, "r"],
     likely_rows: Int[np.ndarray, "k"],
 ) -> tuple[Int[np.ndarray, "e"], Int[np.ndarray, "e"], Int[np.ndarray, "e"]]:
-    """Candidates with the first segment, likely ones with the second, and the neighbour relation
-    of each.
+    """List the pairs of candidates that contain two neighbouring segments, in one view.
+
+    Returns (candidate with the first segment, likely candidate with the second segment, index of
+    the pair of neighbours).
     """
     edge = np.arange(len(neighbours.first))
     columns = []
@@ -186,10 +209,10 @@ def companion_log_odds(
     frame: Int[np.ndarray, "m"] | None = None,
     frames: int = 1,
 ) -> Float[np.ndarray, "m"]:
-    """Log odds that companions, or their absence, add to each pair, (m,).
+    """Return the log odds that the presence or absence of companions adds to each candidate, (m,).
 
-    The shares of right and of wrong pairs with a companion are estimated in each frame. If they
-    hardly differ, nothing is added.
+    In each frame, the share of candidates with a companion is estimated for right and for wrong
+    candidates. If the two shares are nearly equal, the result is 0.
     """
     gain = np.zeros(len(posterior))
     rules, prior = tuning.occlusion, tuning.evidence.prior_observations

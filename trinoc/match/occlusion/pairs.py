@@ -68,7 +68,10 @@ def match_occluded(
     depth_range_mm: tuple[float, float] | None,
     tuning: MatchTuning = DEFAULT,
 ) -> tuple[Tracks, Pairs]:
-    """Match pairs of views, and temper the tracks: (tempered tracks, pairs)."""
+    """Match the segments that only two views show, and temper the log odds of the tracks.
+
+    Returns (tracks, pairs).
+    """
     lines, counts = inputs.lines, inputs.counts
     bodies = estimate_bodies(lines, tracks, selections, tuning)
     tracks = temper_tracks(lines, tracks, bodies, tuning)
@@ -88,10 +91,10 @@ def occluded_pairs(
     tuning: MatchTuning = DEFAULT,
     bodies: Bodies = NO_BODIES,
 ) -> Pairs:
-    """Match pairs of views beside the tracks in three or more views, in each frame of a stack.
+    """Match pairs of segments that no track uses, for all pairs of views and all frames of a stack.
 
-    `bodies` are the properties of each frame's bodies, estimated from the tracks (see
-    `solids.py`).
+    `matched` are the tracks in three or more views. `bodies` describes how solid the bodies of each
+    frame are, see `solids.py`.
     """
     free_segments = _free_segments(matched.candidates, counts, tuning.occlusion.max_matched_share)
     frames = 1 if lines.frame is None else len(lines.matrix_px)
@@ -109,13 +112,11 @@ def occluded_pairs(
         # In a scene with junctions, a pair may be right although its ends do not agree.
         if not np.any(junctions.end_at_junction >= tuning.junctions.min_junction_share):
             typical_px = float(np.asarray(clutter.typical_px))
-            reach_px = end_search_radius_px(mixture.ends, typical_px, tuning.scouting, tuning.ends)
-            agree_px = None if reach_px is None else tuning.occlusion.ends_factor * reach_px
+            search_px = end_search_radius_px(mixture.ends, typical_px, tuning.scouting, tuning.ends)
+            agree_px = None if search_px is None else tuning.occlusion.ends_factor * search_px
 
     def keep_likely(pairs: Candidates) -> Candidates:
-        """Pairs in the depth range that are likely by the rates known so far. This limits the
-        memory.
-        """
+        """Return the pairs that are in the depth range and likely. This limits the memory."""
         pairs = pairs.take(in_depth_range(pairs, lines, depth_range_mm))
         if rates is None or is_stack_or_alone:
             return pairs
@@ -148,15 +149,18 @@ def occluded_pairs(
 def _likelier_half(
     pairs: Candidates, mean_counts: Float[np.ndarray, "*f"] | float, tuning: MatchTuning
 ) -> Candidates:
-    """Pairs with evidence above the median, under typical rates."""
+    """Return the pairs whose log odds are above the median, with the mixture parameters of the
+    prior.
+    """
     mixture = prior_parameters(pairs.ends_mm, mean_counts, tuning, pairs.frame)
     evidence = log_odds_among_lines(pairs, mixture, tuning)
     return pairs.take(evidence > np.median(evidence))
 
 
 def _learn_rates(selections: list[Selection], tuning: MatchTuning) -> Rates | None:
-    """Mixture and junction parameters from three views of a single frame; None if there are too
-    few lines.
+    """Return the mixture and junction parameters estimated from triples, for a single frame.
+
+    The result is None if there are too few triples.
     """
     largest = max(selections, key=lambda selection: selection.is_accepted.sum(), default=None)
     if largest is None or largest.is_accepted.sum() < tuning.tracks.min_tracks_to_learn:
@@ -170,7 +174,11 @@ def _initial_rates(
     mean_counts: Float[np.ndarray, "*f"] | float,
     tuning: MatchTuning,
 ) -> Rates:
-    """Parameters from three views; prior ones in frames with few lines."""
+    """Return the initial mixture and junction parameters for the pairs of each frame.
+
+    The parameters were estimated from triples. Frames with few triples have the parameters of the
+    prior.
+    """
     prior_rates = (
         prior_parameters(pairs.ends_mm, mean_counts, tuning, pairs.frame),
         prior_junctions(tuning.junctions, np.shape(mean_counts)),
@@ -178,10 +186,10 @@ def _initial_rates(
     largest = max(selections, key=lambda selection: selection.is_accepted.sum(), default=None)
     if largest is None:
         return prior_rates
-    number = group_sums(
+    accepted_count = group_sums(
         largest.is_accepted.astype(np.float64), largest.candidates.frame, np.size(mean_counts)
     )
-    has_enough = number >= tuning.tracks.min_tracks_to_learn
+    has_enough = accepted_count >= tuning.tracks.min_tracks_to_learn
 
     def choose(learned_value: ArrayLike | float, prior_rates: ArrayLike | float) -> np.ndarray:
         axes = tuple(range(np.ndim(has_enough), np.ndim(prior_rates)))
@@ -191,7 +199,7 @@ def _initial_rates(
 
 
 def _take_frames(candidates: Candidates, is_selected: Bool[np.ndarray, "f"]) -> Candidates:
-    """Candidates of the given frames of a stack."""
+    """Return the candidates of the selected frames of a stack."""
     return (
         candidates if candidates.frame is None else candidates.take(is_selected[candidates.frame])
     )
@@ -200,7 +208,7 @@ def _take_frames(candidates: Candidates, is_selected: Bool[np.ndarray, "f"]) -> 
 def _free_segments(
     matched: Candidates, counts: list[int], max_share: float
 ) -> list[Int[np.ndarray, "_"]]:
-    """For each view, the segments of which less than `max_share` is matched."""
+    """Return the free segments of each view: segments with a matched share below `max_share`."""
     free_segments = []
     for view, count in enumerate(counts):
         has_segment = matched.index[:, view] >= 0
@@ -217,13 +225,16 @@ def pairs_beside_lines(
     initial_rates: Rates,
     tuning: MatchTuning,
 ) -> Pairs:
-    """Pairs among matched lines, with posterior log odds at their fixed point."""
+    """Compute the posterior log odds of pairs, with junctions between pairs and matched lines.
+
+    Marginals, prior and junctions are iterated until they are stable.
+    """
     rules = tuning.occlusion
     log_missed = float(np.log(rules.miss_probability))
     mixture, junctions = initial_rates
     evidence = log_odds_among_lines(pairs, mixture, tuning)
-    kept_rows, log_share = likely_pair_rows(pairs, matched.candidates, evidence, tuning)
-    candidates, evidence = pairs.take(kept_rows), evidence[kept_rows]
+    selected_rows, log_share = likely_pair_rows(pairs, matched.candidates, evidence, tuning)
+    candidates, evidence = pairs.take(selected_rows), evidence[selected_rows]
     frame = candidates.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
     all_candidates = _join_candidates(matched.candidates, candidates)

@@ -63,11 +63,15 @@ def log_position_density_among(
     tuning: MatchTuning,
     frame: Int[np.ndarray, "m"] | None = None,
 ) -> Float[np.ndarray, "m"]:
-    """Log density of a line at each position, per volume (mm^3) and direction (of 2 pi), (m,).
+    """Log density of lines at the position of each candidate, given all other candidates, (m,).
 
-    It is the density of the other lines, weighted by their posteriors, so that an isolated line
-    gives itself no support. The density is a product of profiles along the axes of `volume`. For
-    a line it is the geometric mean of the values at its ends.
+    The density is per mm^3 and steradian. Every candidate has its posterior as weight. A candidate
+    does not count for its own density, so an isolated candidate gets a low density.
+
+    Notes
+    -----
+    The density is a product of three profiles, one along each axis of `volume`. The value of a
+    candidate is the geometric mean of those at its two ends.
     """
     # Principal axes, each divided by the standard deviation along it.
     inverse_variance, eigenvectors = np.linalg.eigh(volume.precision)
@@ -109,8 +113,9 @@ def _profile_bins(
     axes: Float[np.ndarray, "*m 3 3"],
     tuning: OcclusionTuning,
 ) -> Int[np.ndarray, "m 2 3"]:
-    """Bin of both ends in each coordinate, (m, 2, 3). The outermost bins include all positions
-    beyond.
+    """Return the bin of both ends of each candidate in the three profiles, (m, 2, 3).
+
+    The first and the last bin include all positions beyond them.
     """
     centred = ends_mm - np.expand_dims(centre_mm, -2)
     coordinates = np.einsum("mej,...ij->mei" if axes.ndim == 2 else "mej,mij->mei", centred, axes)
@@ -121,12 +126,15 @@ def _profile_bins(
 def _prior_profile(
     tuning: OcclusionTuning,
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Width of each bin, and its prior share: a box, and a small share beyond."""
-    bins, reach = BINS, tuning.profile_sigmas
-    edges, half = np.linspace(-reach, reach, bins + 1), np.sqrt(3.0)
+    """Return the width of each bin of a profile, and the prior probability of each bin.
+
+    The prior is uniform in a box of unit variance, with a small probability outside.
+    """
+    bins, limit = BINS, tuning.profile_sigmas
+    edges, half = np.linspace(-limit, limit, bins + 1), np.sqrt(3.0)
     inside = np.maximum(np.minimum(edges[1:], half) - np.maximum(edges[:-1], -half), 0.0)
     prior_share = (1 - tuning.uniform_share) * inside / inside.sum() + tuning.uniform_share / bins
-    width = np.full(bins, 2 * reach / bins)
+    width = np.full(bins, 2 * limit / bins)
     width[[0, -1]] *= tuning.outer_bin_factor
     return width, prior_share
 
@@ -139,7 +147,10 @@ def _profile(
     frame: Int[np.ndarray, "m"] | None,
     frames: int,
 ) -> Float[np.ndarray, "*f k"]:
-    """Smoothed number of lines in each bin. Both ends of a line count half."""
+    """Return the smoothed number of lines in each bin, (k,), for each frame of a stack.
+
+    `first` and `second` are the bins of the two ends of each line. Each end counts half.
+    """
     start = 0 if frame is None else frame * bins
     # One border bin on either side, because smoothing moves weight outward.
     end_counts = [
@@ -151,13 +162,21 @@ def _profile(
 
 
 class PairRates(NamedTuple):
-    """Rates of pairs in each frame.
+    """Parameters of the log odds of pairs, estimated by EM; one set for each frame of a stack.
 
-    ends : shares of the components of each end; the last is "none agree".
-    log_by_length : log of the number of lines in each length class over that of clutter.
-    mixture : density and number of lines.
-    junctions : frequency of meeting ends.
-    log_position_density : density at each pair, (m,); None before the first EM step.
+    Attributes
+    ----------
+    ends : (c,)
+        Weight of each component of the end evidence; the last component is "the ends do not
+        correspond".
+    log_by_length : (k,)
+        Log of the share of each length class among lines over its share among clutter.
+    mixture : MixtureParameters
+        Density and number of lines.
+    junctions : JunctionParameters
+        Frequency of ends at junctions.
+    log_position_density : (m,) or None
+        Log density of lines at each pair; None before the first EM step.
     """
 
     ends: Float[np.ndarray, "*f c"]
@@ -168,7 +187,7 @@ class PairRates(NamedTuple):
 
 
 def length_class(candidates: Candidates, tuning: MatchTuning) -> Int[np.ndarray, "m"]:
-    """Class of the length, in the image, of each candidate, (m,)."""
+    """Return the length class of each candidate, by its length in the image, (m,)."""
     length_px = candidates.px_per_mm * np.linalg.norm(
         candidates.union_ends_mm[:, 1] - candidates.union_ends_mm[:, 0], axis=1
     )
@@ -183,7 +202,11 @@ def learn_rates(
     typical_px: Float[np.ndarray, "*f"] | float,
     tuning: MatchTuning,
 ) -> PairRates:
-    """One EM step for the rates of each frame."""
+    """Run one EM step, and return the updated parameters of the log odds.
+
+    `posterior` is the current probability of each pair. `typical_px` is the typical length of
+    clutter.
+    """
     rules, frames = tuning.occlusion, np.size(rates.mixture.log_count)
     frame, prior = candidates.frame, tuning.evidence.prior_observations
     terms = np.exp(candidates.end_log) * np.expand_dims(broadcast_groups(rates.ends, frame), -2)
@@ -219,9 +242,10 @@ def match_pairs_alone(
     typical_px: np.ndarray | float,
     tuning: MatchTuning,
 ) -> Pairs:
-    """Pairs with posterior log odds, under rates estimated from the pairs themselves.
+    """Compute the posterior log odds of pairs in frames with hardly any matched line.
 
-    The few matched lines keep their segments.
+    All parameters are estimated from the pairs themselves. The segments of the few matched lines
+    are not used again.
     """
     rules, frame = tuning.occlusion, pairs.frame
     mixture, junctions = initial_rates
@@ -253,10 +277,10 @@ def match_pairs_alone(
             )
         return evidence + ends + lengths + prior + position_density
 
-    kept_rows, log_share = likely_pair_rows(
+    selected_rows, log_share = likely_pair_rows(
         pairs, matched, prior_odds(pairs, evidence, rates), tuning
     )
-    candidates, evidence = pairs.take(kept_rows), evidence[kept_rows]
+    candidates, evidence = pairs.take(selected_rows), evidence[selected_rows]
     frame = candidates.frame
     graph = conflict_graph(candidates.index, candidates.interval, tuning.selection)
     end_pairs = endpoint_pairs(candidates, evidence, tuning.junctions, tuning.evidence)
@@ -299,7 +323,7 @@ def match_pairs_alone(
         count,
     )
     body_fields = junctions.end_at_junction, see_through.reshape(np.shape(mixture.log_count))
-    bodies = Bodies(*(broadcast_groups(each, frame) for each in body_fields))
+    bodies = Bodies(*(broadcast_groups(field, frame) for field in body_fields))
     pair_arguments = posterior_log_odds, candidates.side_log, candidates.crossing_sine, bodies
     tempered = temper_pairs(*pair_arguments, tuning)
     limited_posterior = rules.max_posterior_alone * probability(tempered)

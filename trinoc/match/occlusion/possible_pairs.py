@@ -39,10 +39,20 @@ PAIRS_AT_A_TIME = 1 << 17
 
 
 class PairBound(NamedTuple):
-    """Terms of the log odds of a pair among matched lines, without its polarity.
+    """Terms of an upper bound on the log odds of a pair of segments.
 
-    prior : term that all pairs share.
-    min_log_odds : pairs below are discarded.
+    Attributes
+    ----------
+    log_ends : (c,)
+        Log weights of the components of the end evidence.
+    centre_mm, precision : (3,) and (3, 3)
+        As in `Volume`.
+    log_missed : float
+        Log probability that a view does not show a line in its image.
+    prior : float
+        Terms that are equal for all pairs.
+    min_log_odds : float
+        Pairs with a smaller bound are discarded.
     """
 
     log_ends: Float[np.ndarray, "c"]
@@ -66,9 +76,21 @@ def possible_pairs(
 
     Parameters
     ----------
-    free : indices of the free segments of each view.
-    bound : rejects unlikely pairs, if given.
-    ends_px : pairs must agree at one end within this distance, if given.
+    lines : SegmentTable
+        Segments of all views.
+    views : (2,)
+        Indices of the two views.
+    free : list of arrays
+        Indices of the segments of each view that may be used.
+    clutter : ClutterModel
+        Clutter model of all views.
+    tuning : MatchTuning
+        Tuned constants.
+    bound : PairBound, optional
+        Bound that rejects unlikely pairs.
+    ends_px : float, optional
+        Limit for the distance between corresponding ends of a pair. At least one of the two
+        distances must be below the limit.
     """
     planes = build_pencil(lines, *views.tolist())
     rows = free[views[0]], free[views[1]]
@@ -96,11 +118,13 @@ def _evaluate_pairs(
             possible = may_be_likely(bound, possible, columns, tuning=tuning.evidence)
         return possible, columns
 
-    kept_rows, columns = select_in_blocks(evaluate, block_size(lines, TRIPLES_IN_BLOCK), segments)
+    selected_rows, columns = select_in_blocks(
+        evaluate, block_size(lines, TRIPLES_IN_BLOCK), segments
+    )
     interval, ends_mm, *rest = split_columns(columns, shapes)
     # The chi-square of two views is always 0.
-    evidence_columns = interval, ends_mm, np.zeros(len(kept_rows)), *rest
-    return build_candidates(lines, views, segments[kept_rows], evidence_columns, tuning)
+    evidence_columns = interval, ends_mm, np.zeros(len(selected_rows)), *rest
+    return build_candidates(lines, views, segments[selected_rows], evidence_columns, tuning)
 
 
 @partial(kept_jit, static_argnames=("tuning", "ends"), few_rows_of="pairs")
@@ -113,7 +137,9 @@ def _pair_evidence(
     tuning: CandidateTuning,
     ends: EndTuning,
 ) -> tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]:
-    """Evidence of each pair: (mask of possible ones, columns)."""
+    """Compute the evidence of each pair. Returns the mask of possible pairs, and the columns (c,
+    h).
+    """
     segments = pairs.T
     rows = take_segments(planes.first, segments[0]), take_segments(planes.second, segments[1])
     frame_pencil = take_pencil(planes, lines, views[0], segments[0])
@@ -138,8 +164,10 @@ def pair_bound(
     end_shares: Float[np.ndarray, "c"],
     tuning: MatchTuning,
 ) -> PairBound | None:
-    """Bound for the pairs of one frame; None if side levels are known, since they add further
-    evidence.
+    """Return the terms of the upper bound for the pairs of one frame.
+
+    The result is None if side levels are known, because their evidence is not in the bound.
+    `end_shares` are the weights of the end components.
     """
     if np.isfinite(np.asarray(lines.sides)).any():
         return None
@@ -164,10 +192,9 @@ def may_be_likely(
     columns: Float[ArrayLike, "k h"],
     tuning: EvidenceTuning,
 ) -> Bool[ArrayLike, "h"]:
-    """Mask of the possible pairs whose log odds may exceed the bound, (h,).
+    """Return the mask of the possible pairs whose upper bound exceeds `bound.min_log_odds`, (h,).
 
-    `columns` are those of `possible_pairs`: interval, ends, log density, end evidence, and
-    others.
+    `columns` are those of `_pair_evidence`.
     """
     components = len(bound.log_ends)
     ends_mm, log_density, end_log = columns[4:10], columns[10], columns[11 : 11 + 2 * components]
@@ -191,10 +218,20 @@ def may_be_likely(
 
 
 class Pairs(NamedTuple):
-    """Candidate pairs, their log odds without and with rivals, and the mask of the accepted ones.
+    """Candidate pairs with their log odds.
 
-    miss_log_odds : (m,) log odds that each pair loses because the views that should show it do
-        not.
+    Attributes
+    ----------
+    candidates : Candidates
+        The pairs.
+    log_odds : (m,)
+        Log odds before the exclusion of rivals.
+    posterior_log_odds : (m,)
+        Log odds after the exclusion of rivals and after tempering.
+    is_accepted : (m,)
+        True for the accepted pairs.
+    miss_log_odds : (m,)
+        Part of the log odds from views that should show the pair and do not; 0 or negative.
     """
 
     candidates: Candidates
@@ -204,15 +241,17 @@ class Pairs(NamedTuple):
     miss_log_odds: Float[np.ndarray, "m"]
 
     def take(self, rows: np.ndarray) -> "Pairs":
-        """Return the rows of the given indices, in that order, or where a mask is true."""
+        """Return the pairs with the given indices, or the pairs for which a mask is true."""
         return take_rows(self, rows)
 
 
 def likely_pair_rows(
     candidates: Candidates, matched: Candidates, odds: Float[np.ndarray, "m"], tuning: MatchTuning
 ) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Rows of the likely pairs that use no matched part of a segment, and `log_kept_share` of
-    each.
+    """Return the indices of the likely pairs that use no matched part of a segment, (k,).
+
+    Some likely pairs may be discarded to limit the memory. The second result is `log_kept_share` of
+    each remaining pair.
     """
     rules = tuning.selection
     rows = np.flatnonzero(odds > rules.prune_log_odds)
@@ -221,8 +260,8 @@ def likely_pair_rows(
         ~use_claimed_parts(likely.index, likely.interval, matched.index, matched.interval, rules)
     ]
     odds, index = odds[rows], candidates.index[rows]
-    kept_rows = rows_within_memory(odds, index, -np.inf, rules)
-    return rows[kept_rows], log_kept_share(odds, index, kept_rows)
+    selected_rows = rows_within_memory(odds, index, -np.inf, rules)
+    return rows[selected_rows], log_kept_share(odds, index, selected_rows)
 
 
 def log_odds_among_lines(
@@ -230,8 +269,9 @@ def log_odds_among_lines(
     mixture: MixtureParameters,
     tuning: MatchTuning,
 ) -> Float[np.ndarray, "m"]:
-    """Log odds of pairs among matched lines, without the prior of pairs and without junctions,
-    (m,).
+    """Return the log odds of pairs in a scene with matched lines, (m,).
+
+    Rivals, junctions, and the prior share of pairs among all lines are not included.
     """
     rules, frame = tuning.occlusion, candidates.frame
     member_evidence = log_ends(
@@ -252,15 +292,20 @@ def log_odds_among_lines(
 
 
 def log_ends(candidates: Candidates, shares: Float[np.ndarray, "*m c"]) -> Float[np.ndarray, "m"]:
-    """Evidence of the ends, given the shares of their components, (m,)."""
+    """Return the log evidence of both ends of each pair, (m,).
+
+    `shares` are the weights of the mixture components.
+    """
     return np.log((np.exp(candidates.end_log) @ shares[..., None])[..., 0]).sum(axis=1)
 
 
 def end_shares(mixture: MixtureParameters, tuning: EndTuning) -> Float[np.ndarray, "*f c"]:
-    """Mixture weights for how the segment ends of two views agree, (..., c).
-
-    They follow from the weights for three views: two views that agree are a random pair of the
+    """Return the mixture weights of the segment ends for two views, (c,), from the weights for
     three.
+
+    The last component means that the two ends do not correspond. The others mean that they
+    correspond, with each scale of their distance. The two views are assumed to be a random pair of
+    the three.
     """
     all_agree, two_agree = len(tuning.agreement_px), len(tuning.pair_px)
     agreeing = mixture.ends[..., :all_agree].copy()

@@ -34,11 +34,11 @@ def see_through_share(
     frame: Int[np.ndarray, "m"] | None = None,
     frames: int = 1,
 ) -> Float[np.ndarray, "f"]:
-    """Crossings of matched segments over the number by chance, for each frame, (f,): 0 solid, 1
-    see-through.
+    """Return how see-through the bodies of each frame are, (f,): 0 for solid, 1 for see-through.
 
-    Each segment has the weight of its most likely candidate, so that clutter, which crosses
-    everything, hardly counts. With few expected crossings, bodies are assumed solid.
+    The share is the number of crossings between matched segments over the number by chance. Each
+    segment has the posterior of its most likely candidate as weight, because clutter often crosses
+    other segments. Bodies with few expected crossings are assumed solid.
     """
     share = np.zeros(frames)
     frame_label = np.zeros(len(index), np.int64) if frame is None else frame
@@ -65,11 +65,11 @@ def see_through_share(
 def crossings(
     ends_px: Float[np.ndarray, "n 2 2"], weight: Float[np.ndarray, "n"], margin_px: float
 ) -> tuple[float, float]:
-    """Weighted number of crossing pairs of segments, and the number expected by chance.
+    """Return the weighted number of crossing pairs of segments, and the number expected by chance.
 
-    Segments are shortened by `margin_px` at both ends, so that a segment that ends at another
-    does not cross it. Chance keeps lengths and directions, and shifts the segments within an
-    area of their spread.
+    Each segment is shortened by `margin_px` at both ends. A segment that ends at another segment
+    therefore does not cross it. Chance means the same lengths and directions at random positions,
+    within an area of the segments' spread.
     """
     step = ends_px[:, 1] - ends_px[:, 0]
     length = np.hypot(*step.T)
@@ -96,7 +96,15 @@ def crossings(
 
 
 class Bodies(NamedTuple):
-    """Share of ends that meet others, and see-through share of the bodies, for each frame."""
+    """Properties of the bodies in the scene; one value for each frame of a stack.
+
+    Attributes
+    ----------
+    junction_share : float or (f,)
+        Share of line ends that meet other line ends.
+    see_through_share : float or (f,)
+        0 for solid bodies, 1 for see-through bodies such as wires.
+    """
 
     junction_share: Float[np.ndarray, "*f"] | float
     see_through_share: Float[np.ndarray, "*f"] | float
@@ -109,7 +117,7 @@ NO_BODIES = Bodies(0.0, 1.0)
 def estimate_bodies(
     lines: SegmentTable, tracks: Tracks, selections: list[Selection], tuning: MatchTuning
 ) -> Bodies:
-    """Estimate the properties of the bodies in each frame from three views."""
+    """Estimate the properties of the bodies in each frame from the tracks in three views."""
     largest = max(selections, key=lambda selection: selection.is_accepted.sum(), default=None)
     if largest is None:
         return NO_BODIES
@@ -128,7 +136,11 @@ def estimate_bodies(
 def temper_tracks(
     lines: SegmentTable, tracks: Tracks, bodies: Bodies, tuning: MatchTuning
 ) -> Tracks:
-    """Temper the log odds of tracks and of their rivals."""
+    """Return the tracks with tempered log odds of tracks and rivals.
+
+    Tempering multiplies log odds by a factor below 1. Edges of solid bodies need this factor,
+    because the evidence for such edges is correlated.
+    """
     candidates, rules = tracks.candidates, tuning.occlusion
     # Edges of see-through bodies meet at corners too, but are hidden less often.
     share = bodies.junction_share * (1 - rules.see_through_gain * bodies.see_through_share)
@@ -153,11 +165,12 @@ def temper_pairs(
     bodies: Bodies,
     tuning: MatchTuning,
 ) -> Float[np.ndarray, "m"]:
-    """Temper the log odds of pairs, (m,).
+    """Return the tempered log odds of pairs, (m,).
 
-    The correction grows with the angle between the viewing directions, because more edges of a
-    solid are then hidden in one view. Known side levels distinguish the edges and need no such
-    correction.
+    The log odds of edges of solid bodies are multiplied by a factor below 1, and an offset is
+    added. The offset decreases with the angle between the viewing directions, because more edges
+    are then hidden in one view. Pairs with known side levels have no offset, because the levels
+    distinguish the edges.
     """
     rules, solid_share = tuning.occlusion, bodies.junction_share * (1 - bodies.see_through_share)
     viewpoint_offset = solid_share * (rules.solid_offset - rules.viewpoint_penalty * crossing_sine)

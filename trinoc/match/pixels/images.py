@@ -12,18 +12,29 @@ from trinoc.match.tracks.matches import Matches
 
 
 class LineImages(NamedTuple):
-    """Images of the lines that one view shows, in undistorted pixels.
+    """Images of s lines in space in one view, in undistorted pixels.
 
-    Fields
-    ------
-    track : (s,) track of each line.
-    segment : (s,) its segment in this view.
-    ends_px : (s, 2, 2) image of the line's ends.
-    direction, normal : (s, 2) unit vectors along and across the image.
-    length_px : (s,) distance between the ends.
-    extent_px : (s, 2) interval of the segment along the image.
-    offset_px : (s, 2) offset of the segment's line across the image, at the line's ends.
-    covariance_px2 : (s, 2, 2) covariance of these offsets.
+    Positions along an image are measured from the image of the line's first end.
+
+    Attributes
+    ----------
+    track : (s,)
+        Track of each line.
+    segment : (s,)
+        Segment of the track in this view.
+    ends_px : (s, 2, 2)
+        Image of the line's two ends.
+    direction, normal : (s, 2)
+        Unit vectors along the image and perpendicular to it.
+    length_px : (s,)
+        Distance between the two ends.
+    extent_px : (s, 2)
+        Interval of the segment along the image.
+    offset_px : (s, 2)
+        Distance from the image to the extrapolated segment, along `normal`, at both ends of the
+        image.
+    covariance_px2 : (s, 2, 2)
+        Covariance of these two distances.
     """
 
     track: Int[np.ndarray, "s"]
@@ -44,7 +55,10 @@ def line_images(
     matrix_px: Float[np.ndarray, "3 4"],
     lens: Intrinsics,
 ) -> LineImages:
-    """Images of all lines that a view shows. Errors of the segments include the noise scale."""
+    """Project all lines that a view shows, and compute the offsets of their segments.
+
+    The covariances of the segments are multiplied by the square of the noise scale.
+    """
     track = np.flatnonzero(matches.index[:, view] >= 0)
     segment = matches.index[track, view]
     ends = project_by_matrix(matrix_px, matches.lines_mm[track])
@@ -86,5 +100,8 @@ def line_images(
 def interpolate_offset(
     offset_px: Float[np.ndarray, "s 2"], share: Float[np.ndarray, "s k"]
 ) -> Float[np.ndarray, "s k"]:
-    """Offsets at positions along the line; 0 and 1 are its ends."""
+    """Interpolate the offsets at both ends of a line to other positions, (s, k).
+
+    `share` are the positions along the line: 0 at its first end, 1 at its second.
+    """
     return (1 - share) * offset_px[:, :1] + share * offset_px[:, 1:]

@@ -40,31 +40,38 @@ def measure_lines(
 
     Parameters
     ----------
-    matches : result of `match_segments`.
-    segments : the matched segments, by view.
-    rig : the cameras of the matches.
-    pictures : image of each view, as for `find_segments`.
-    response : response of the cameras to light, as for `find_segments`.
-    tuning : all tuned constants.
+    matches : Matches
+        Result of `match_segments`.
+    segments : mapping
+        Segments of each view that were matched.
+    rig : Rig
+        The cameras of the matches.
+    pictures : mapping
+        Image of each view, as for `find_segments`.
+    response : str, float or AbstractResponse
+        Response of the cameras to light, as for `find_segments`.
+    tuning : PixelTuning
+        All tuned constants.
 
     Returns
     -------
     Matches
-        The same tracks. The mark `measure` states for each view that its pixels are used
-        ("pixels"), or why they are not. Lines, fragments, their covariances and `misfit` are
-        updated. The ends keep their positions along the lines.
+        The same tracks with new lines, fragments, covariances and `misfit`. The ends keep their
+        positions along the lines. The mark `measure` is "pixels" for each view whose pixels are
+        used, otherwise the reason.
 
     Raises
     ------
-    InputError : a view without image or segments, or an image of another size than its camera's.
+    InputError
+        If a view has no image or no segments, or its image has another size than its camera.
 
     Notes
     -----
-    Beside the image of a line, the grey levels are a step between two levels, blurred by a
-    Gaussian. Levels and blur are estimated in every view and eliminated. The position of the line's
-    image remains. The four parameters of the line in space are estimated from the positions in all
-    views together. A view without a clean step keeps the position of its segment. A Hausman test
-    compares both estimates of the line.
+    The grey levels across the image of a line are modelled as a step between two levels, blurred by
+    a Gaussian. Levels and blur are estimated in every view and eliminated, so that only the
+    position remains. The four parameters of the line in space are estimated from the positions in
+    all views together. A view without a clean step uses the position of its segment. A Hausman test
+    compares the new line with the line of the segments.
 
     References
     ----------
@@ -91,13 +98,17 @@ _STEPS = 4
 
 
 class PixelLineFit(NamedTuple):
-    """Lines fitted to pixels.
+    """Lines in space fitted to positions of their images.
 
-    Fields
-    ------
-    move_mm : (t, 4) displacement of the first and the last end, along the two axes across the line.
-    covariance_mm2 : (t, 4, 4) covariance of these, NaN if the views do not determine the line.
-    misfit : (t,) chi-square of the disagreement between the views.
+    Attributes
+    ----------
+    move_mm : (t, 4)
+        Displacements of the first end, then of the second end, along the two axes perpendicular to
+        the line.
+    covariance_mm2 : (t, 4, 4)
+        Covariance of the displacements; NaN if the views do not determine the line.
+    misfit : (t,)
+        Chi-square of the residuals of all views.
     """
 
     move_mm: Float[np.ndarray, "t 4"]
@@ -113,9 +124,11 @@ def fit_lines_to_pixels(
     covariance_px2: Float[np.ndarray, "t v 2 2"],
     weight_of_view: Float[np.ndarray, "t v"],
 ) -> PixelLineFit:
-    """Fit lines to points of their images, with a covariance across the image.
+    """Fit lines in space to two points on the image of each line in each view.
 
-    Views with `weight_of_view` 0 are ignored.
+    `covariance_px2` is the covariance of the two points perpendicular to the image. `axes` are two
+    unit vectors perpendicular to each initial line `ends_mm`. Views with `weight_of_view` 0 are
+    ignored.
     """
     count = len(ends_mm)
     matrices = np.broadcast_to(matrices_px, (count, *matrices_px.shape))
@@ -148,7 +161,10 @@ def apply_measurements(
     views: Sequence[ViewFit],
     tuning: PixelTuning,
 ) -> Matches:
-    """Matches with lines and fragments from the pixels, where these are valid."""
+    """Return the matches with lines and fragments from the pixels, for tracks whose fit is valid.
+
+    Other tracks keep the lines and fragments of their segments.
+    """
     tracks, view_count = matches.index.shape
     outcome = np.full((tracks, view_count), "", dtype="<U16")
     points_px = np.zeros((tracks, view_count, 2, 2))
@@ -233,11 +249,12 @@ def hausman(
     efficient: Float[np.ndarray, "t k k"],
     smallest_share: float,
 ) -> Float[np.ndarray, "t"]:
-    """Hausman statistic of the difference of two estimates, (t,): chi-square with k degrees of
-    freedom.
+    """Hausman statistic of the difference between a robust and an efficient estimate, (t,).
 
-    If one estimate is efficient, the covariance of the difference is the difference of the
-    covariances. It is at least `smallest_share` of the efficient one's, in every direction.
+    If both estimates are right, the statistic has a chi-square distribution with k degrees of
+    freedom. `robust` and `efficient` are the covariances of the two estimates. The covariance of
+    the difference is robust - efficient, in every direction at least `smallest_share` of
+    `efficient`.
     """
     root = np.linalg.cholesky(efficient)
     inverse = np.linalg.inv(root)
@@ -253,8 +270,10 @@ def _move_lines(
     move: Float[np.ndarray, "t 4"],
     move_covariance: Float[np.ndarray, "t 4 4"],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ends and covariance of lines moved across. The ends follow along the line by their
-    correlation.
+    """Move the ends of lines perpendicular to the lines, and return the ends with their covariance.
+
+    The positions along the lines change by their correlation with the move. `rotation` maps the
+    world coordinates of both ends to four coordinates across the line and two along the line.
     """
     regression = np.linalg.solve(covariance_before[:, :4, :4], covariance_before[:, :4, 4:]).mT
     move_along = (regression @ move[..., None])[..., 0]
@@ -278,7 +297,7 @@ def _measured_fragments(
     views: Sequence[ViewFit],
     outcome: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Fragments moved to the measured images of the lines, with their covariance."""
+    """Return the fragments, moved to the measured images of the lines, and their covariance."""
     fragments, covariance = matches.fragments_px.copy(), None
     if matches.fragments_covariance_px2 is not None:
         covariance = matches.fragments_covariance_px2.copy()

@@ -28,17 +28,24 @@ _MIN_PIXELS, _BLOCK_PARAMETERS = 8, 6
 
 
 class StripFit(NamedTuple):
-    """Images of lines fitted to pixels.
+    """Positions of s line images in one view, fitted to the pixels.
 
-    Fields
-    ------
-    parameters : (s, 3) offsets at both ends, px, and logarithm of the blur.
-    information : (s, 3, 3) information matrix of the parameters.
-    chi_square : (s,) median chi-square of the blocks over their degrees of freedom, at the image's
-        noise.
-    scatter : (s,) sum of squared distances of the blocks from the line, in standard deviations.
-    blocks : (s,) number of accepted blocks.
-    share : (s,) share of blocks with a weight above 0.3.
+    The pixels beside a line are divided into blocks of a few rows.
+
+    Attributes
+    ----------
+    parameters : (s, 3)
+        Offsets of the image at both ends, px, and logarithm of the blur.
+    information : (s, 3, 3)
+        Information matrix of the parameters.
+    chi_square : (s,)
+        Reduced chi-square of the blocks under the image's noise, median over the blocks.
+    scatter : (s,)
+        Sum of the squared distances of the blocks from the fitted image, in standard deviations.
+    blocks : (s,)
+        Number of accepted blocks.
+    share : (s,)
+        Share of the blocks with a weight above 0.3.
     """
 
     parameters: Float[np.ndarray, "s 3"]
@@ -75,13 +82,21 @@ def fit_strips(
 ) -> StripFit:
     """Fit the images of lines to their pixels.
 
-    Each line has its own levels, blur and noise. Blocks that do not fit have small weights.
+    Grey levels, blur and noise are estimated separately for each line. Blocks that do not fit the
+    others get small weights.
 
     Parameters
     ----------
-    start_px : offsets at both ends of each line, (s, 2).
-    noise : standard deviation of the grey levels.
-    log_blur : prior mean and standard deviation of the logarithm of the blur.
+    strips : Strips
+        Blocks of pixels of all lines.
+    start_px : (s, 2)
+        Initial offsets at both ends of each line.
+    noise : float
+        Standard deviation of the grey levels.
+    log_blur : (float, float)
+        Prior mean and standard deviation of the logarithm of the blur.
+    tuning : PixelTuning
+        Tuned constants.
     """
     count, line = len(start_px), strips.line
     parameters = np.column_stack([start_px, np.full(count, log_blur[0])])
@@ -124,8 +139,10 @@ def fit_strips(
 
 
 class _LineSums(NamedTuple):
-    """Sums over the blocks of each line. `noise` and `chi_square` are relative to the image's
-    variance.
+    """Sums over the blocks of each line.
+
+    `information` and `gradient` are those of the normal equations. `noise` and `chi_square` are
+    variances in units of the image's variance. Other attributes are as in `StripFit`.
     """
 
     information: Float[np.ndarray, "s 3 3"]
@@ -145,8 +162,10 @@ def _sum_blocks(
     robust: bool,
     tuning: PixelTuning,
 ) -> _LineSums:
-    """Sum the normal equations over the blocks of each line. Blocks unlike the others have small
-    weights.
+    """Sum the normal equations over the blocks of each line.
+
+    Blocks with a large chi-square or with the brighter side reversed have weight 0. With `robust`,
+    blocks far from the line have small weights.
     """
     fit = BlockFit(*(np.asarray(column) for column in fit))
     freedom = np.maximum(fit.count.sum(axis=1) - _BLOCK_PARAMETERS, 1)
@@ -186,7 +205,11 @@ def _extend_columns(
     noise: Float[np.ndarray, "b"],
     tuning: PixelTuning,
 ) -> Bool[np.ndarray, "b c"]:
-    """Columns, from the core outward, whose mean agrees with the levels of their block."""
+    """Return the mask of the columns to use in the next step of the fit, (b, c).
+
+    A column contains the pixels of a block at one distance from the edge. A column is used if its
+    mean agrees with the fitted levels, and all columns up to the edge are used.
+    """
     pixel_count = usable.sum(axis=1)
     limit = tuning.ring_sigmas * noise[:, None] * np.sqrt(np.maximum(pixel_count, 1))
     is_explained = (pixel_count > 0) & (np.abs(fit.column) <= limit)

@@ -28,16 +28,22 @@ NO_SEGMENT = -1
 
 
 class Strips(NamedTuple):
-    """Blocks of pixels beside lines; the blocks of a line follow each other.
+    """Blocks of pixels across the images of lines: r rows along the edge and c columns across it.
 
-    Fields
-    ------
-    across_px : (b, r, c) distance from the line's image, in undistorted pixels.
-    share : (b, r, c) position along the image, 0 and 1 at its ends.
-    level : (b, r, c) grey level, or light.
-    usable : (b, r, c) mask of the pixels that are near this line only, with no other segment
-        between.
-    line : (b,) line of each block.
+    The blocks of a line follow each other.
+
+    Attributes
+    ----------
+    across_px : (b, r, c)
+        Signed distance of each pixel from the line's image, undistorted pixels.
+    share : (b, r, c)
+        Position along the image, 0 at its first end and 1 at its second.
+    level : (b, r, c)
+        Grey level, or light for a nonlinear camera response.
+    usable : (b, r, c)
+        True for pixels to use: near no other segment, and with only usable pixels up to the edge.
+    line : (b,)
+        Line of each block.
     """
 
     across_px: Float[np.ndarray, "b r c"]
@@ -56,7 +62,11 @@ def sample_strips(
     blur_px: float,
     tuning: PixelTuning,
 ) -> Strips:
-    """Sample the blocks of all lines of an image. A line that is too short has none."""
+    """Sample the blocks of pixels of all lines in one view. Lines that are too short have no block.
+
+    `light` is the image, `clipped` the mask of saturated pixels. `owners` is the result of
+    `segments_near_pixels`.
+    """
     interval_px = images.extent_px + np.array([1.0, -1.0]) * tuning.end_widths * blur_px
     pixels, valid, line = _strip_pixels(lens, images, interval_px)
     undistorted = undistort_pixels(lens, pixels.astype(np.float64))
@@ -83,7 +93,10 @@ def sample_strips(
 
 
 def connected_to_middle(is_good: Bool[np.ndarray, "*b c"]) -> Bool[np.ndarray, "*b c"]:
-    """Mask of the columns that are good together with all columns up to the middle one."""
+    """Return the mask of the good columns that are connected to the middle column, (..., c).
+
+    A column is connected if all columns between it and the middle are good.
+    """
     left_half = np.logical_and.accumulate(is_good[..., HALF::-1], axis=-1)[..., ::-1]
     right_half = np.logical_and.accumulate(is_good[..., HALF:], axis=-1)
     return np.concatenate([left_half[..., :-1], right_half], axis=-1)
@@ -92,7 +105,11 @@ def connected_to_middle(is_good: Bool[np.ndarray, "*b c"]) -> Bool[np.ndarray, "
 def _strip_pixels(
     lens: Intrinsics, images: LineImages, interval_px: Float[np.ndarray, "s 2"]
 ) -> tuple[Int[np.ndarray, "b r c 2"], Bool[np.ndarray, "b r 1"], Int[np.ndarray, "b"]]:
-    """Pixels across each line: (pixels of each block, mask of its rows, its line)."""
+    """List the pixels across each line, in blocks of rows.
+
+    Returns (pixels (u, v) of each block, mask of the rows that exist, line of each block).
+    `interval_px` is the interval to sample along each image.
+    """
     chord_share = np.linspace(0, 1, _CHORDS)
     along = interval_px[:, :1] + chord_share * (interval_px[:, 1:] - interval_px[:, :1])
     path = images.ends_px[:, None, 0] + along[..., None] * images.direction[:, None]
@@ -137,10 +154,10 @@ def _strip_pixels(
 def segments_near_pixels(
     ends_px: Float[np.ndarray, "n 2 2"], size_px: tuple[int, int], radius_px: float
 ) -> tuple[Int[np.ndarray, "h w"], Int[np.ndarray, "h w"]]:
-    """First and last segment within a radius of each pixel, (h, w) each; NO_SEGMENT if there is
-    none.
+    """Return the smallest and the largest index of the segments near each pixel, (h, w) each.
 
-    If both are equal, the pixel is near that segment only.
+    Segments within `radius_px` count. If both indices are equal, only one segment is near. If none
+    is near, both are NO_SEGMENT.
     """
     width, height = size_px
     first = np.full((height, width), len(ends_px), dtype=np.int64)

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class PixelTuning:
-    """Selection, model and acceptance of the pixels beside an edge."""
+    """Tuned constants of `measure_lines`: choice of the pixels, model of the edge, acceptance of a
+    fit.
+    """
 
     # Largest distance of a pixel from the line, px.
     search_radius_px: float = 8.0

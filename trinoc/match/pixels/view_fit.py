@@ -26,15 +26,20 @@ _CLIPPED_PX = 2
 
 
 class ViewFit(NamedTuple):
-    """Result for each line image of a view.
+    """Positions of s line images in one view, from the pixels or from the segment.
 
-    Fields
-    ------
-    outcome : (s,) PIXELS, or the reason why the position of the segment is kept.
-    offset_px : (s, 2) offset at the line's ends, from the pixels or from the segment.
-    covariance_px2 : (s, 2, 2) covariance of these offsets.
-    widening_px2 : (s,) part of the covariance due to a profile that is too wide. It is part of
-        the segment's covariance too.
+    Attributes
+    ----------
+    outcome : (s,)
+        PIXELS if the pixels are used, otherwise the reason why the segment is used.
+    offset_px : (s, 2)
+        Offset of the image at both ends of the line.
+    covariance_px2 : (s, 2, 2)
+        Covariance of the two offsets.
+    widening_px2 : (s,)
+        Part of each variance that allows for a second edge too close to be resolved. It is
+        estimated from the width of the blurred step, and is part of the covariance of a segment
+        too.
     """
 
     outcome: Shaped[np.ndarray, "s"]
@@ -50,9 +55,10 @@ def fit_view(
     images: LineImages,
     tuning: PixelTuning,
 ) -> ViewFit:
-    """Fit the images of lines to the grey levels of a view.
+    """Fit the images of lines to the grey levels of one view.
 
-    `segments_px` are the ends of all segments of the view, in distorted pixels.
+    `segments_px` are the ends of all segments of the view, in distorted pixels. Pixels near other
+    segments are not used.
     """
     if len(images.track) == 0:
         empty = np.zeros(0)
@@ -77,8 +83,10 @@ def fit_view(
 
 
 def _median_blur(fit: StripFit, default: float, tuning: PixelTuning) -> tuple[float, float]:
-    """Median and robust deviation of the logarithm of the blur, over the strips that determine
+    """Median and robust standard deviation of the logarithm of the blur, over lines that determine
     it.
+
+    With few such lines, the result is (`default`, 0).
     """
     is_known = (fit.information[:, 2, 2] * tuning.precise_blur_sigma**2 > 1) & (fit.blocks > 1)
     if is_known.sum() < _MIN_STRIPS:
@@ -94,7 +102,12 @@ def _expected_widening(
     spread: float,
     tuning: PixelTuning,
 ) -> Float[np.ndarray, "s"]:
-    """Expected mean square of the widening, for strips that do not determine their blur well."""
+    """Expected squared widening of the blurred step, for lines whose blur is not well determined,
+    (s,).
+
+    The widening is the logarithm of the line's blur over the blur of the image. `spread` is its
+    standard deviation among other lines.
+    """
     smallest, largest = tuning.hidden_widening
     hidden_variance = np.clip(spread**2 - np.median(log_blur_variance), smallest**2, largest**2)
     share = hidden_variance / (hidden_variance + log_blur_variance)
@@ -104,7 +117,10 @@ def _expected_widening(
 def _assess_lines(
     images: LineImages, strips: Strips, fit: StripFit, first_log_blur: float, tuning: PixelTuning
 ) -> ViewFit:
-    """Add the effects of scatter and blur to the covariances, and set the outcome of each line."""
+    """Decide for each line whether its pixels are used, and compute offsets and covariances.
+
+    The covariance includes the scatter of the blocks and a possible second edge (`widening_px2`).
+    """
     inverse = np.linalg.inv(fit.information + 1e-6 * np.eye(3))
     prior = tuning.prior_blocks
     scatter = (prior + fit.scatter) / (prior + np.maximum(fit.blocks - 2, 0.0))

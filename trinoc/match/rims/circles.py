@@ -30,7 +30,10 @@ _CIRCLE_POINTS = 8
 def usual_mm_per_px(
     lines_mm: Float[np.ndarray, "t 2 3"], rig: Rig, views: tuple[str, ...]
 ) -> float:
-    """Median size of a pixel at the lines, mm; 1 if there are no lines."""
+    """Return the size of one pixel at the lines, median over lines and views, mm.
+
+    Without lines, the result is 1.
+    """
     length = np.linalg.norm(lines_mm[:, 1] - lines_mm[:, 0], axis=1)
     scales = []
     for name in views:
@@ -40,11 +43,16 @@ def usual_mm_per_px(
 
 
 class Circles(NamedTuple):
-    """Circles in space.
+    """h circles in space.
 
-    centre_mm : (h, 3) centres.
-    normal : (h, 3) unit vectors across their planes.
-    radius_mm : (h,) radii.
+    Attributes
+    ----------
+    centre_mm : (h, 3)
+        Centres, world frame.
+    normal : (h, 3)
+        Unit normals of the planes of the circles.
+    radius_mm : (h,)
+        Radii.
     """
 
     centre_mm: Float[np.ndarray, "h 3"]
@@ -53,15 +61,25 @@ class Circles(NamedTuple):
 
 
 class Chords(NamedTuple):
-    """Segments of all views in one table.
+    """Segments of all views in one table, as possible chords of circles.
 
-    view : view of each, in the order of the matches.
-    segment : the caller's number.
-    points_px : (n, 5, 2) undistorted points on each, see `ON_ARC`, `MIDDLE` and `ENDS`.
-    rays : (n, 5, 3) unit viewing rays of these points.
-    centre_mm, matrix_px : of the camera.
-    sigma_px : standard deviation of each of the first two points, across.
-    length_px : length of each.
+    Attributes
+    ----------
+    view : (n,)
+        View of each segment, as an index of `Matches.views`.
+    segment : (n,)
+        Index of the segment in the caller's input.
+    points_px : (n, k, 2)
+        Points on the segment, undistorted pixels. Columns `ON_ARC`: the two points that lie on the
+        arc if the segment is a chord. Columns `MIDDLE` and `ENDS`: its midpoint and its ends.
+    rays : (n, k, 3)
+        Unit viewing rays of these points, world frame.
+    centre_mm, matrix_px : (n, 3) and (n, 3, 4)
+        Centre and projection matrix of the camera.
+    sigma_px : (n,)
+        Standard deviation of the two points on the arc, across the segment.
+    length_px : (n,)
+        Length of the segment.
     """
 
     view: Int[np.ndarray, "n"]
@@ -75,12 +93,18 @@ class Chords(NamedTuple):
 
 
 class CircleOffsets(NamedTuple):
-    """Offsets of chords s from circles h.
+    """Offsets of s chords from the images of h circles, at k points of each chord.
 
-    offset_px : (h, s, k) distance of each point outside the circle's image.
-    cosine : (h, s) cosine of the angle between chord and tangent.
-    axis_ratio : (h, s) shorter over longer axis of the circle's image in the chord's view.
-    nearest_mm : (h, s, k, 3) points of the circle next to the chord's points.
+    Attributes
+    ----------
+    offset_px : (h, s, k)
+        Distance of each point from the circle's image, positive outside; inf behind the camera.
+    cosine : (h, s)
+        Cosine of the angle between the chord and the tangent of the circle's image.
+    axis_ratio : (h, s)
+        Minor over major axis of the circle's image in the view of the chord.
+    nearest_mm : (h, s, k, 3)
+        Point of the circle nearest to each point, world frame.
     """
 
     offset_px: Float[np.ndarray, "h s k"]
@@ -90,7 +114,7 @@ class CircleOffsets(NamedTuple):
 
 
 def collect_chords(inputs: MatchInput, views: tuple[str, ...]) -> Chords:
-    """Collect the segments of all views in one table."""
+    """Collect the segments of all views in one table. `views` are the views of the matches."""
     parts = []
     for number, name in enumerate(views):
         view = inputs.names.index(name)
@@ -123,7 +147,10 @@ def collect_chords(inputs: MatchInput, views: tuple[str, ...]) -> Chords:
 
 
 def circle_offsets(chords: Chords, circles: Circles, *, with_ends: bool = False) -> CircleOffsets:
-    """Offsets of chords from circles, at three points of each chord, or at five with its ends."""
+    """Compute the offsets of all chords from all circles, at three points of each chord.
+
+    With `with_ends`, the two ends of each chord are added.
+    """
     centre, normal, radius = circles
     unit = (chords.points_px[:, 4] - chords.points_px[:, 3]) / chords.length_px[:, None]
     if not with_ends:
@@ -171,10 +198,14 @@ def circle_offsets(chords: Chords, circles: Circles, *, with_ends: bool = False)
 
 
 class CircleImages(NamedTuple):
-    """Images of circles in one view.
+    """Images of h circles in one view: ellipses.
 
-    middle_px : (h, 2) centre of the image, NaN if a part of the circle lies behind the camera.
-    axes_px : (h, 2) half axes, the longer one first; 0 in that case.
+    Attributes
+    ----------
+    middle_px : (h, 2)
+        Mean of the image points. NaN if a part of the circle lies behind the camera.
+    axes_px : (h, 2)
+        Major and minor half axis. 0 if a part of the circle lies behind the camera.
     """
 
     middle_px: Float[np.ndarray, "h 2"]
@@ -182,12 +213,12 @@ class CircleImages(NamedTuple):
 
     @property
     def axis_ratio(self) -> Float[np.ndarray, "h"]:
-        """Shorter over longer axis, (h,)."""
+        """Minor over major axis of each image, (h,)."""
         return self.axes_px[:, 1] / np.maximum(self.axes_px[:, 0], 1e-12)
 
 
 def image_circles(circles: Circles, matrix_px: Float[np.ndarray, "3 4"]) -> CircleImages:
-    """Images of circles in a view."""
+    """Compute the images of circles in the view with the given projection matrix."""
     angle = np.arange(_CIRCLE_POINTS) * (2 * np.pi / _CIRCLE_POINTS)
     points = points_on_circles(circles, np.tile(angle, (len(circles.radius_mm), 1)))
     image = homogeneous_pixel(matrix_px, points)
@@ -202,8 +233,10 @@ def image_circles(circles: Circles, matrix_px: Float[np.ndarray, "3 4"]) -> Circ
 def are_touching(
     offsets: CircleOffsets, limit_px: float, tuning: RimTuning
 ) -> Bool[np.ndarray, "h s"]:
-    """Mask of the chords that lie on an arc of each circle, in views that do not show it
-    edge-on, (h, s).
+    """Return the mask of the chords that lie on each circle's image, (h, s).
+
+    The two points on the arc must be within `limit_px` of the image, the direction close to the
+    tangent, and the image not too narrow.
     """
     is_near = np.abs(offsets.offset_px[..., ON_ARC]).max(axis=2) < limit_px
     # In the middle between its intersections, a chord lies a third of the sagitta inside the arc.
@@ -219,7 +252,11 @@ def are_touching(
 def points_on_circles(
     circles: Circles, angle: Float[np.ndarray, "h n"]
 ) -> Float[np.ndarray, "h n 3"]:
-    """Points of circles at given angles from the first axis across their normal, (h, n, 3)."""
+    """Return the points of circles at the given angles, rad, (h, n, 3) mm.
+
+    Angles are measured in the plane of the circle, from the first of its two axes
+    `complete_axes(normal)`.
+    """
     frame = complete_axes(circles.normal)
     radial = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ frame
     return circles.centre_mm[:, None] + circles.radius_mm[:, None, None] * radial
@@ -236,10 +273,15 @@ _MAX_SIGMAS = 1e3
 
 
 class CircleFit(NamedTuple):
-    """Fitted circle.
+    """Fitted circle with its covariance.
 
-    covariance : of the parameters of `move_circle`, scaled if the errors are larger than stated.
-        NaN if the chords do not determine the circle.
+    Attributes
+    ----------
+    circle : Circles
+        The circle; its arrays have one row.
+    covariance : (6, 6)
+        Covariance of the parameters of `move_circle`, scaled if the residuals are larger than the
+        stated errors. NaN if the chords do not determine the circle.
     """
 
     circle: Circles
@@ -247,8 +289,10 @@ class CircleFit(NamedTuple):
 
 
 def move_circle(circle: Circles, parameters: Float[np.ndarray, "k 6"]) -> Circles:
-    """Apply k steps to one circle: centre (mm), normal toward its two axes (rad), and radius
-    (mm).
+    """Return one circle changed by each of k steps.
+
+    The first three parameters of a step shift the centre (mm). The next two turn the normal toward
+    its two axes (rad). The last one changes the radius (mm).
     """
     normal = circle.normal + parameters[:, 3:5] @ complete_axes(circle.normal)[0]
     normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
@@ -258,29 +302,36 @@ def move_circle(circle: Circles, parameters: Float[np.ndarray, "k 6"]) -> Circle
 
 
 def fit_circle(chords: Chords, circle: Circles) -> CircleFit:
-    """Fit a circle to the two points of each chord that lie on its arc, from an initial circle."""
+    """Fit a circle in space to chords, from an initial circle.
+
+    The residuals are the offsets of the two points of each chord that lie on its arc.
+    """
     circle, equations = gauss_newton(
         lambda current: _residuals(chords, current),
-        lambda current, step: move_circle(current, step * _scale(current)),
+        lambda current, step: move_circle(current, step * _step_scale(current)),
         circle,
         steps=_STEPS,
         largest_step=_LARGEST_STEP,
     )
-    scale = _scale(circle)
+    scale = _step_scale(circle)
     point_count, parameters = equations.squared.shape[1], len(scale)
     factor = misfit_factor(equations.chi_square, point_count - parameters)[0]
     return CircleFit(circle, factor * equations.covariance()[0] * scale[:, None] * scale)
 
 
-def _scale(circle: Circles) -> Float[np.ndarray, "6"]:
-    """Size of each parameter's step that moves the circle by about its radius."""
+def _step_scale(circle: Circles) -> Float[np.ndarray, "6"]:
+    """Return the step of each parameter that displaces points of the circle by about its radius."""
     radius = float(circle.radius_mm[0])
     return np.array([radius, radius, radius, 1.0, 1.0, radius])
 
 
 def _residuals(chords: Chords, circle: Circles) -> Residuals:
-    """Offsets of all points from the circle's image, by parameters in units of their scale."""
-    steps = _DIFFERENCE_STEP * np.diag(_scale(circle))
+    """Return the whitened offsets of all points from the circle's image, with numerical
+    derivatives.
+
+    The derivatives are by the parameters of `move_circle` in units of `_step_scale`.
+    """
+    steps = _DIFFERENCE_STEP * np.diag(_step_scale(circle))
     circles = move_circle(circle, np.concatenate([np.zeros((1, 6)), steps, -steps]))
     scaled = circle_offsets(chords, circles).offset_px[..., ON_ARC] / chords.sigma_px[:, None]
     at_circle, forward, backward = np.split(

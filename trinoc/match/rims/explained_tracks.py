@@ -36,9 +36,10 @@ from trinoc.numerics.vectors import cross_3d
 def are_outlines(
     chords: Chords, circles: Circles, mm_per_px: float, tuning: RimTuning
 ) -> Bool[np.ndarray, "n"]:
-    """Mask of the segments that may be an outline of the cylinder below a circle, (n,).
+    """Return the mask of the segments that may be an outline of the cylinder below a circle, (n,).
 
-    The viewing rays of both ends touch the cylinder, and one of them near the circle.
+    The viewing rays of both ends must touch the cylinder. One of the rays must touch the cylinder
+    near the circle.
     """
     is_outline = np.zeros(len(chords.view), dtype=bool)
     rays = chords.rays[:, ENDS]
@@ -62,7 +63,12 @@ def heights_of_closest_approach(
     offset_mm: Float[np.ndarray, "n 1 3"],
     axis: Float[np.ndarray, "3"],
 ) -> Float[np.ndarray, "n e"]:
-    """Height above the circle's plane at which each ray passes nearest to the axis, (n, e) mm."""
+    """Return the distance from the circle's plane at which each ray is nearest to the axis, (n, e)
+    mm.
+
+    `axis` is the normal of the circle. `offset_mm` is the camera centre relative to the circle's
+    centre.
+    """
     cosine = rays @ axis
     ray_component, height_of_camera = (rays * offset_mm).sum(axis=2), offset_mm @ axis
     depth = (cosine * height_of_camera - ray_component) / np.maximum(1 - cosine**2, 1e-12)
@@ -70,11 +76,16 @@ def heights_of_closest_approach(
 
 
 class TracksBesideRims(NamedTuple):
-    """Tracks that no rim explains.
+    """Tracks that no rim explains, and that therefore remain in the result.
 
-    kept : (k,) their numbers.
-    silhouette : (k,) probability that each contains an outline.
-    outlines : number of tracks that probably contain one.
+    Attributes
+    ----------
+    kept : (k,)
+        Indices of the tracks.
+    silhouette : (k,)
+        Probability that the track contains an outline of a body below a rim.
+    outlines : int
+        Number of tracks that probably contain an outline.
     """
 
     kept: Int[np.ndarray, "k"]
@@ -90,7 +101,10 @@ def tracks_beside_rims(
     mm_per_px: float,
     tuning: RimTuning,
 ) -> TracksBesideRims:
-    """Tracks that no rim explains. `rim` is the rim of each segment, -1 if none."""
+    """Select the tracks that no rim explains, and test them for outlines of bodies below rims.
+
+    `rim` (n,) is the rim that each segment is a chord of, -1 if none.
+    """
     kept = np.flatnonzero(~_explains_tracks(matches, chords, rim))
     is_outline = are_outlines(chords, circles, mm_per_px, tuning) & (rim < 0)
     holds_outline = _segments_on_tracks(matches, chords, is_outline).sum(axis=1) >= 2
@@ -103,7 +117,9 @@ def tracks_beside_rims(
 def count_tracks(
     rims: int, matches: Matches, tracks: TracksBesideRims, pieces: int
 ) -> dict[str, int]:
-    """Numbers of explained, marked and added tracks, by name."""
+    """Return the numbers of rims, of tracks that rims explain, of pieces of rims, and of outline
+    tracks.
+    """
     return {
         "rims": rims,
         "tracks that rims explain": len(matches) - len(tracks.kept),
@@ -115,7 +131,11 @@ def count_tracks(
 def with_rows(
     matches: Matches, tracks: TracksBesideRims, rows: Mapping[str, np.ndarray]
 ) -> Matches:
-    """The remaining tracks followed by the rows of pieces, whose segments become matched."""
+    """Return the tracks that no rim explains, followed by the pieces of rims as further tracks.
+
+    `rows` are the columns of the pieces, by field name of `Matches`. The segments of pieces get the
+    reason "matched".
+    """
     index = rows["index"]
     # The effect of the rig's errors on the new rows is not available.
     matches = dataclasses.replace(matches, rig_covariance_mm2=None)
@@ -133,7 +153,7 @@ def with_rows(
 def _segments_on_tracks(
     matches: Matches, chords: Chords, is_selected: Bool[np.ndarray, "n"]
 ) -> Bool[np.ndarray, "t v"]:
-    """Mask (t, v) of the track members that are selected segments."""
+    """Return the mask of the views in which the track's segment is a selected chord, (t, v)."""
     is_on_track = np.zeros(matches.index.shape, dtype=bool)
     for view in range(matches.index.shape[1]):
         selected = chords.segment[is_selected & (chords.view == view)]
@@ -144,7 +164,11 @@ def _segments_on_tracks(
 def _explains_tracks(
     matches: Matches, chords: Chords, rim: Int[np.ndarray, "n"]
 ) -> Bool[np.ndarray, "t"]:
-    """Mask of the tracks that a rim explains: two segments are its chords, or one of two."""
+    """Return the mask of the tracks that a rim explains, (t,).
+
+    At least two segments of the track are chords of one rim. For tracks in two views, one segment
+    is enough.
+    """
     largest_count = np.zeros(len(matches), dtype=np.int64)
     for rim_number in range(rim.max(initial=-1) + 1):
         largest_count = np.maximum(
@@ -168,14 +192,18 @@ _ROWS = (
 
 
 class MatchesWithRims(Value):
-    """Matches of straight edges and pieces of rims, with the segments that they number.
+    """Matches of straight edges together with pieces of rims.
 
-    Fields
-    ------
-    segments : for each view, the given segments in their order, followed by chords of rims.
-    matches : the given tracks that no rim explains, in their order, followed by pieces of rims.
-        Tracks with an outline of the body below a rim have the mark "silhouette".
-    kept : (k,) previous numbers of the first k tracks.
+    Attributes
+    ----------
+    segments : dict of Segments
+        For each view, the segments of the straight edges in their sequence, followed by the chords
+        of rims. The matches number these segments.
+    matches : Matches
+        The tracks that no rim explains, in their sequence, followed by pieces of rims. Tracks with
+        an outline of the body below a rim have the mark "silhouette".
+    kept : (k,)
+        Indices that the first k tracks of `matches` had before the rims were added.
     """
 
     segments: dict[str, Segments]
@@ -193,30 +221,38 @@ def add_rims(
     *,
     tuning: MatchTuning = DEFAULT,
 ) -> MatchesWithRims:
-    """Add rims, detected among the chords of arcs, to matches of straight edges.
+    """Combine matches of straight edges with rims that were detected in other segments.
 
     Parameters
     ----------
-    matches : result of `match_segments` for segments without arcs.
-    segments : the matched segments.
-    rims : result of `find_rims` for segments with arcs.
-    chords : the segments that the rims were detected in.
-    rig : the cameras of both.
-    tuning : all tuned constants; the group `rims` is used here.
+    matches : Matches
+        Result of `match_segments` for segments without arcs.
+    segments : mapping
+        The matched segments of each view.
+    rims : Rims
+        Result of `find_rims` for segments with arcs.
+    chords : mapping
+        The segments of each view that the rims were detected in.
+    rig : Rig
+        The cameras of both.
+    tuning : MatchTuning
+        Tuned constants; the group `rims` is used here.
 
     Returns
     -------
     MatchesWithRims
+        Matches of straight edges and pieces of rims, with their segments.
 
     Raises
     ------
-    InputError : a view without segments, or rims of other views than the matches.
+    InputError
+        If a view has no segments, or the rims have other views than the matches.
 
     Notes
     -----
-    A detector that keeps the chords of arcs (`find_segments(arcs=True)`) also keeps segments
-    that are no edge. So edges are matched without arcs, rims are found with them, and both are
-    combined here.
+    With `find_segments(arcs=True)` the detector keeps the chords of arcs, but also segments that
+    are no straight edge. Edges are therefore matched without arcs, and rims are detected with arcs.
+    This function combines both results.
     """
     views = matches.views
     edge_segments, chord_segments = (
@@ -251,7 +287,10 @@ def add_rims(
 
 
 def _assign_rims(chords: Chords, circles: Circles, tuning: RimTuning) -> Int[np.ndarray, "n"]:
-    """Rim that each segment is a chord of, (n,): the nearest one, -1 if none."""
+    """Return the rim that each segment is a chord of, (n,); -1 if none.
+
+    If a segment lies on several rims, the nearest rim is returned.
+    """
     if len(circles.radius_mm) == 0:
         return np.full(len(chords.view), -1)
     offsets = circle_offsets(chords, circles)

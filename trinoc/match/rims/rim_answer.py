@@ -32,21 +32,28 @@ FULL_TURN = 2 * np.pi
 
 
 class Arcs(NamedTuple):
-    """Arcs of a circle by angle, rad: from begin in [0, 2 pi) to end."""
+    """Arcs of one circle: intervals of the angle, rad.
+
+    `begin` is in [0, 2 pi), and `end` may exceed 2 pi.
+    """
 
     begin: Float[np.ndarray, "n"]
     end: Float[np.ndarray, "n"]
 
-    def hold(self, angle: Float[np.ndarray, "a"]) -> Bool[np.ndarray, "a n"]:
-        """Mask (a, n) of the arcs that contain each angle."""
+    def contain(self, angle: Float[np.ndarray, "a"]) -> Bool[np.ndarray, "a n"]:
+        """Return the mask of the arcs that contain each angle, (a, n)."""
         return (angle[:, None] - self.begin) % FULL_TURN < self.end - self.begin
 
 
 class CirclePieces(NamedTuple):
     """Pieces of a circle.
 
-    begin, end : (p,) angles, rad.
-    chord : (p, v) chord of each view, -1 if none.
+    Attributes
+    ----------
+    begin, end : (p,)
+        Angles of the ends, rad.
+    chord : (p, v)
+        Chord of each view on the piece, -1 if none.
     """
 
     begin: Float[np.ndarray, "p"]
@@ -55,8 +62,9 @@ class CirclePieces(NamedTuple):
 
 
 def cover_circle(nearest_mm: Float[np.ndarray, "n 5 3"], circle: Circles) -> Arcs:
-    """Arcs of a circle that chords cover. `nearest_mm` are the circle's points next to the
-    chords' points.
+    """Return the arc of a circle that each chord covers.
+
+    `nearest_mm` are the points of the circle nearest to the five points of each chord.
     """
     axes = complete_axes(circle.normal)[0]
     radial_vector = (nearest_mm - circle.centre_mm[0]) @ axes.T
@@ -69,25 +77,29 @@ def cover_circle(nearest_mm: Float[np.ndarray, "n 5 3"], circle: Circles) -> Arc
 
 
 def share_in_two_views(arcs: Arcs, view: Int[np.ndarray, "n"], views: int) -> float:
-    """Share of the circle that chords of two or more views show."""
+    """Return the share of the circle on which two or more views have a chord, 0 to 1.
+
+    `view` is the view of each arc, `views` the number of views.
+    """
     border = np.unique(np.concatenate([arcs.begin, arcs.end]) % FULL_TURN)
     if len(border) == 0:
         return 0.0
     width = np.diff(border, append=border[0] + FULL_TURN)
-    view_count = arcs.hold(border + width / 2) @ (view[:, None] == np.arange(views))
+    view_count = arcs.contain(border + width / 2) @ (view[:, None] == np.arange(views))
     return float(width[view_count.sum(axis=1) >= 2].sum() / FULL_TURN)
 
 
 def cut_pieces(
     arcs: Arcs, view: Int[np.ndarray, "n"], views: int, smallest_rad: float
 ) -> CirclePieces:
-    """Pieces of a circle, each shown by one set of chords in two or more views.
+    """Cut a circle at the ends of its chords, and return the pieces that two or more views show.
 
-    If several chords of a view show a piece, the one with the longest arc is used.
+    If several chords of a view show a piece, the one with the longest arc is used. Pieces shorter
+    than `smallest_rad` are dropped.
     """
     border = np.unique(np.concatenate([arcs.begin, arcs.end]) % FULL_TURN)
     width = np.diff(border, append=border[0] + FULL_TURN)
-    is_covered = arcs.hold(border + width / 2)
+    is_covered = arcs.contain(border + width / 2)
     covered_length = np.where(is_covered, arcs.end - arcs.begin, 0.0)
     chord = np.full((len(border), views), -1)
     for number in range(views):
@@ -120,10 +132,10 @@ def fragments_of_pieces(
     lines_mm: Float[np.ndarray, "p 2 3"],
     index: Int[np.ndarray, "p v"],
 ) -> tuple[Float[np.ndarray, "p v 2 2"], Float[np.ndarray, "p v 4 4"]]:
-    """Fragments of the segments that correspond to pieces of rims, and their covariance.
+    """Return the fragment of each segment on a piece of a rim, and the covariance of its ends.
 
-    The covariance includes the distance between the segment and its arc, as an error of both
-    ends.
+    The covariance includes the distance between the segment and its arc, as an error of both ends.
+    `chord` are rows of `chords`. `index` are the same segments in the caller's numbering.
     """
     view_positions = [views.index(name) for name in inputs.names]
     inputs_index = np.full(index.shape, -1)
@@ -143,7 +155,7 @@ def fragments_of_pieces(
         direction = part_ends[rows, view, 1] - part_ends[rows, view, 0]
         direction = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
         normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-        bow_px = _bows(chords, circles, chord[rows, position])
+        bow_px = _chord_to_arc_px(chords, circles, chord[rows, position])
         part_covariance = covariance[rows, view]
         add_error_of_ends(
             part_covariance, np.repeat((bow_px[:, None] * normal)[:, None], 2, axis=1)
@@ -154,10 +166,13 @@ def fragments_of_pieces(
     return fragments, fragment_covariance
 
 
-def _bows(chords: Chords, circles: Circles, row: Int[np.ndarray, "p"]) -> Float[np.ndarray, "p"]:
-    """Distance between each chord and its arc, px, in the middle between their intersections.
+def _chord_to_arc_px(
+    chords: Chords, circles: Circles, row: Int[np.ndarray, "p"]
+) -> Float[np.ndarray, "p"]:
+    """Return the distance between each chord and its arc, (p,) px.
 
-    The arc is that of the circle nearest to the chord.
+    The distance is measured midway between the two points where chord and arc intersect. The arc
+    belongs to the circle nearest to the chord. `row` are rows of `chords`.
     """
     if len(row) == 0:
         return np.zeros(0)
@@ -169,15 +184,24 @@ def _bows(chords: Chords, circles: Circles, row: Int[np.ndarray, "p"]) -> Float[
 
 
 class FittedRim(NamedTuple):
-    """One fitted rim.
+    """One fitted rim with its chords.
 
-    circle : one row.
-    covariance : of the parameters of `move_circle`.
-    chord_rows : rows of its chords.
-    arcs : arcs that the chords cover.
-    covered_share : share of the circle that two views show.
-    support : total length of its chords, px, weighted by their distance from the circle.
-    only_two_views : True if only two views have chords on it.
+    Attributes
+    ----------
+    circle : Circles
+        The circle; its arrays have one row.
+    covariance : (6, 6)
+        Covariance of the parameters of `move_circle`.
+    chord_rows : (k,)
+        Rows of its chords in `Chords`.
+    arcs : Arcs
+        Arc that each chord covers.
+    covered_share : float
+        Share of the circle that two or more views show.
+    support : float
+        Total length of its chords, px, weighted by their distance from the circle.
+    only_two_views : bool
+        True if only two views have chords of it.
     """
 
     circle: Circles
@@ -190,17 +214,23 @@ class FittedRim(NamedTuple):
 
 
 class RimChoice(NamedTuple):
-    """Accepted rims, and the number of ambiguous ones that were rejected."""
+    """Accepted rims, and the number of rims that were rejected as ambiguous."""
 
     rims: list[FittedRim]
     ambiguous: int
 
 
 class RimPieces(NamedTuple):
-    """Pieces of rims as rows of matches.
+    """Pieces of rims, approximated by straight lines in space.
 
-    chord : (p, v) chord in each view, -1 if none.
-    posterior : posterior of its rim.
+    Attributes
+    ----------
+    chord : (p, v)
+        Row of the chord of each view in `Chords`, -1 if none.
+    lines_mm, covariance_mm2 : (p, 2, 3) and (p, 6, 6)
+        Ends of the piece, world frame, and their covariance.
+    posterior : (p,)
+        Posterior of its rim.
     """
 
     chord: Int[np.ndarray, "p v"]
@@ -217,10 +247,10 @@ def build_rims(
     mm_per_px: float,
     tuning: RimTuning,
 ) -> Rims:
-    """Build the result from the accepted rims, with chords sorted by view and segment."""
+    """Build the result from the accepted rims. The chords are sorted by rim, view and segment."""
     views, fitted_rims = len(matches.views), choice.rims
     parts = [
-        _pieces(rim_of_chord, chords, views, mm_per_px, tuning) for rim_of_chord in fitted_rims
+        _build_pieces(fitted_rim, chords, views, mm_per_px, tuning) for fitted_rim in fitted_rims
     ]
     empty = RimPieces(
         np.zeros((0, views), np.int64), np.zeros((0, 2, 3)), np.zeros((0, 6, 6)), np.zeros(0)
@@ -257,10 +287,10 @@ def build_rims(
 _NO_CIRCLES = Circles(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
 
 
-def _pieces(
+def _build_pieces(
     rim: FittedRim, chords: Chords, views: int, mm_per_px: float, tuning: RimTuning
 ) -> RimPieces:
-    """Pieces of one rim, as lines in space with their covariance."""
+    """Return the pieces of one rim as lines in space, with their covariance."""
     circle = rim.circle
     radius = circle.radius_mm[0]
     smallest_rad = tuning.end_px * mm_per_px / radius
@@ -282,7 +312,7 @@ def _pieces(
 
 
 def _public_covariance(rim: FittedRim) -> Float[np.ndarray, "7 7"]:
-    """Covariance of centre, normal and radius of a rim, (7, 7)."""
+    """Return the covariance of centre (mm), normal and radius (mm) of a rim, (7, 7)."""
     slope = np.zeros((7, 6))
     slope[:3, :3], slope[6, 5] = np.eye(3), 1.0
     slope[3:6, 3:5] = complete_axes(rim.circle.normal)[0].T
@@ -296,7 +326,7 @@ def _match_rows(
     circles: Circles,
     pieces: RimPieces,
 ) -> dict[str, np.ndarray]:
-    """Pieces as rows of matches, by field name."""
+    """Return the pieces as columns of `Matches`, by field name."""
     count = len(pieces.chord)
     is_observed = pieces.chord >= 0
     index = np.where(is_observed, chords.segment[np.maximum(pieces.chord, 0)], -1)

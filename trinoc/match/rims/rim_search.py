@@ -57,32 +57,40 @@ def find_rims(
     *,
     tuning: MatchTuning = DEFAULT,
 ) -> Rims:
-    """Find circles in space whose arcs the views show as chords, such as rims of cylinders.
+    """Detect circles in space whose arcs the views show as chords, such as rims of cylinders.
 
     Parameters
     ----------
-    matches : result of `match_segments`.
-    segments : the matched segments, detected with `arcs=True`. Without arcs there are hardly any
+    matches : Matches
+        Result of `match_segments`.
+    segments : mapping
+        The matched segments of each view, detected with `arcs=True`. Otherwise there are hardly any
         chords.
-    rig : the cameras of the matches, which are assumed exact.
-    tuning : all tuned constants; the group `rims` is used here.
+    rig : Rig
+        The cameras of the matches, which are assumed exact.
+    tuning : MatchTuning
+        Tuned constants; the group `rims` is used here.
 
     Returns
     -------
     Rims
+        The circles, their chords, and the matches with pieces of the circles.
 
     Raises
     ------
-    InputError : a view of the matches without segments.
+    InputError
+        If a view of the matches has no segments.
 
     Notes
     -----
-    Each view cuts an arc into chords at other positions, so matched chords are near the arc and
-    not on it. All chords of a rim, in all views, have six unknowns: its centre, its plane and
-    its radius. Pairs of matched lines propose circles. The segments of all views support them. A
-    circle is accepted if chords of two views show more than a quarter of it. Pieces of the
-    circle, cut where segments end, replace the tracks of its chords. Tracks of the body's
-    outlines below a rim have the mark "silhouette".
+    Each view divides an arc into chords at other positions. Matched chords are therefore near the
+    arc and not on it. A rim has six unknowns: centre, plane and radius. All chords of the rim in
+    all views determine these unknowns.
+
+    Pairs of matched lines propose circles. The segments of all views are compared with each circle.
+    A circle is accepted if two views have chords on more than a quarter of the circle. Pieces of
+    the circle, cut where segments end, replace the tracks of its chords. Tracks of the body's
+    outlines below a rim get the mark "silhouette".
     """
     inputs = prepare(segments_of_views("Finding rims", matches.views, segments), rig, None)
     # The noise scale of the matches is not used here, because matched chords disagree.
@@ -96,7 +104,11 @@ def find_rims(
 
 
 def _choose_rims(chords: Chords, start: Circles, tuning: RimTuning) -> RimChoice:
-    """Accept rims one by one, those with the longest chords first. A chord belongs to one rim."""
+    """Accept rims one by one, those with the longest chords first. A chord belongs to at most one
+    rim.
+
+    `start` are the proposed circles.
+    """
     support = support_matrix(chords, start, 2 * tuning.touch_px, tuning)
     unit_entries = np.ones_like(support.data)
     incidence = csr_array((unit_entries, support.indices, support.indptr), support.shape)
@@ -134,7 +146,10 @@ def _choose_rims(chords: Chords, start: Circles, tuning: RimTuning) -> RimChoice
 def _fit_rim(
     chords: Chords, circle: Circles, is_free: Bool[np.ndarray, "n"], views: int, tuning: RimTuning
 ) -> FittedRim | None:
-    """Fit the rim near a circle; None if too few chords touch it."""
+    """Fit a rim to the free chords near a proposed circle; None if too few chords lie on it.
+
+    `is_free` marks the chords that belong to no other rim. `views` is the number of views.
+    """
     rows = np.flatnonzero(are_near_images(chords, circle, _MARGIN_PX)[0] & is_free)
     chords = take_rows(chords, rows)
     limit_px = tuning.touch_px
@@ -166,7 +181,19 @@ def _fit_rim(
 
 
 class _CircleEvidence(NamedTuple):
-    """Chords of a circle and the arcs that they cover. `support` is their total weight."""
+    """Chords of one circle.
+
+    Attributes
+    ----------
+    chord_rows : (k,)
+        Rows of the chords in `Chords`.
+    arcs : Arcs
+        Arc that each chord covers.
+    covered_share : float
+        Share of the circle that two or more views show.
+    support : float
+        Total length of the chords, px, weighted by their distance from the circle.
+    """
 
     chord_rows: Int[np.ndarray, "k"]
     arcs: Arcs
@@ -197,9 +224,10 @@ def propose_rims(
     cameras_px: Float[np.ndarray, "v 3 4"],
     tuning: RimTuning,
 ) -> Circles:
-    """Circles that touch two lines each at their middles, the best supported ones.
+    """Return the circles to which two matched lines are tangent at their midpoints.
 
-    At least two cameras do not see them edge-on.
+    Only the circles with the largest total length of such lines are returned. At least two cameras
+    see each circle not edge-on.
     """
     middle = lines_mm.mean(axis=1)
     step = lines_mm[:, 1] - lines_mm[:, 0]
@@ -250,7 +278,7 @@ def propose_rims(
 def _neighbour_pairs(
     middle_mm: Float[np.ndarray, "t 3"], limit: int
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
-    """Pairs of lines, each with its nearest neighbours."""
+    """Return the pairs of each line with its `limit` nearest lines, as two arrays of indices."""
     count = len(middle_mm)
     if count <= limit + 1:
         return np.triu_indices(count, 1)
@@ -268,7 +296,10 @@ def _support(
     length_mm: Float[np.ndarray, "t"],
     tuning: RimTuning,
 ) -> Float[np.ndarray, "h"]:
-    """Total length of the lines in space that lie on each circle, (h,) mm."""
+    """Return the total length of the lines in space that are tangent to each circle, (h,) mm.
+
+    `middle_mm`, `unit` and `length_mm` are midpoint, direction and length of the lines.
+    """
     centre, normal, radius = circles
     height = normal @ middle_mm.T - (normal * centre).sum(axis=1)[:, None]
     square = (middle_mm**2).sum(axis=1) - 2 * centre @ middle_mm.T

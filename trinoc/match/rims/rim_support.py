@@ -27,7 +27,11 @@ _CELL_RADII = 2.0
 def support_matrix(
     chords: Chords, circles: Circles, limit_px: float, tuning: RimTuning
 ) -> csr_array:
-    """Sparse support (h, s) of each chord for each circle, in blocks to limit the memory."""
+    """Return the weighted length of each chord on each circle, px, as a sparse matrix (h, s).
+
+    Chords that do not lie on the circle have the value 0. Circles are processed in blocks to limit
+    the memory.
+    """
     shape = len(circles.radius_mm), len(chords.view)
     entries = [(np.zeros(0), (np.zeros(0, np.int64), np.zeros(0, np.int64)))]
     cell = _CELL_RADII * np.median(circles.radius_mm) if shape[0] else 1.0
@@ -47,10 +51,10 @@ def support_matrix(
 def sum_support(
     chords: Chords, offsets: CircleOffsets, limit_px: float, tuning: RimTuning
 ) -> Float[np.ndarray, "h s"]:
-    """Length of the chords that touch each circle, (h, s).
+    """Return the weighted length of each chord on each circle, px, (h, s).
 
-    Nearer chords have a larger weight, so that the best of the circles about one rim ranks
-    first.
+    The weight decreases with the distance from the circle, so that the best of several similar
+    circles has the largest sum.
     """
     relative_offset = np.abs(offsets.offset_px[..., ON_ARC]).max(axis=2) / limit_px
     weight = np.sqrt(np.clip(1 - relative_offset, 0.0, 1.0)) * chords.length_px
@@ -58,7 +62,7 @@ def sum_support(
 
 
 def are_near_images(chords: Chords, circles: Circles, margin_px: float) -> Bool[np.ndarray, "h s"]:
-    """Mask of the chords whose middle is inside a circle's image, or within a margin of it, (h,
+    """Return the mask of the chords with their midpoint inside each circle's image or near it, (h,
     s).
     """
     is_near = np.zeros((len(circles.radius_mm), len(chords.view)), dtype=bool)
@@ -80,11 +84,16 @@ _MAX_INVERSE_DEPTH, _MOST_STEPS = 3.0, 2000
 def has_rival(
     chords: Chords, circle: Circles, chord_rows: Int[np.ndarray, "k"], tuning: RimTuning
 ) -> bool:
-    """Test whether the chords of one of two views also lie on another circle, with other chords of
-    the second view.
+    """True if the chords of one view also lie on another circle, with other chords of the second
+    view.
 
-    Circles shifted toward a camera or away from it, with parallel planes, have the same image in
-    this camera. So an arc of one view may belong to any arc of the second view on such a circle.
+    Such a rim in two views is ambiguous.
+
+    Notes
+    -----
+    If a circle is moved along the viewing rays of one camera and scaled, its image in this camera
+    stays the same. An arc of this view may therefore belong to any arc of the second view on such a
+    circle.
     """
     first_view, second_view = np.unique(chords.view[chord_rows]).tolist()
     return any(
@@ -101,10 +110,9 @@ def _has_other_chords(
     second: int,
     tuning: RimTuning,
 ) -> bool:
-    """Test whether a rival circle exists: one that looks the same in the first view, but rests on
-    other chords of the second view.
+    """True if a circle with the same image in view `first` has other long chords in view `second`.
 
-    Only chords at least half as long as those of the circle are considered.
+    Long means at least half of the total length of the chords of `circle` in that view.
     """
     in_second = chords.view == second
     rows = np.setdiff1d(np.flatnonzero(in_second), chord_rows)
@@ -127,7 +135,11 @@ def _circles_with_equal_image(
     other_px: Float[np.ndarray, "3 4"],
     tuning: RimTuning,
 ) -> Circles:
-    """Circles with the same image as this one from `eye_mm`, one step apart in the other view."""
+    """Return circles with the same image as `circle` for a camera at `eye_mm`.
+
+    In the image of the other camera, consecutive circles are displaced by about twice the tolerance
+    `touch_px`.
+    """
     from_eye = circle.centre_mm[0] - eye_mm
     image = other_px @ np.append(circle.centre_mm[0], 1.0)
     image_at_infinity = other_px[:, :3] @ from_eye

@@ -26,25 +26,35 @@ _ROUNDING, _SHARE_ROUNDING = 1e-6, 1e-9
 
 
 class Rims(Feature):
-    """Circles in space, each from its chords in two or more views.
+    """Circles in space, each fitted to its chords in two or more views.
 
     `rim`, `view` and `segment` form one table with a row for each chord.
 
-    Fields
-    ------
-    views : names of the views, in the order of their numbers.
-    centre_mm : (c, 3) centres, world frame.
-    normal : (c, 3) unit vectors across the planes of the circles.
-    radius_mm : (c,) radii.
-    covariance_mm2 : (c, 7, 7) covariance of centre, normal (no unit) and radius.
-    covered : (c,) share of each circle that chords of two views show.
-    rim, view, segment : (m,) number of the rim, of the view, and of the segment there.
-    matches : the given matches without the tracks that rims explain, followed by pieces of the
-        rims, each a chord of its circle. The fragment of a piece is the corresponding part of the
-        segment. Its covariance includes the distance between chord and arc. Tracks with an outline
-        of the body below a rim have the mark "silhouette".
-    kept : (k,) previous numbers of the first k tracks.
-    counts : numbers of each step of the search, by name.
+    Attributes
+    ----------
+    views : tuple of str
+        Names of the views. `view` contains indices of this tuple.
+    centre_mm : (c, 3)
+        Centres, world frame.
+    normal : (c, 3)
+        Unit normals of the planes of the circles.
+    radius_mm : (c,)
+        Radii.
+    covariance_mm2 : (c, 7, 7)
+        Covariance of centre, normal (no unit) and radius.
+    covered : (c,)
+        Share of each circle on which two or more views have chords.
+    rim, view, segment : (m,)
+        Index of the rim, index of the view, and index of the segment in that view.
+    matches : Matches
+        The tracks that no rim explains, followed by pieces of the rims. Each piece is a chord of
+        its circle in space. The fragments of a piece are parts of segments. The covariance of these
+        fragments includes the distance between chord and arc. Tracks with an outline of the body
+        below a rim have the mark "silhouette".
+    kept : (k,)
+        Indices that the first k tracks of `matches` had before the rims were added.
+    counts : dict of int
+        Numbers of circles and tracks that each step produced and rejected, by name.
     """
 
     KIND: ClassVar[str] = "rims"
@@ -112,20 +122,20 @@ class Rims(Feature):
         return np.sqrt(self.covariance_mm2[:, 6, 6])
 
     def summary(self) -> str:
-        """Number of rims, as a sentence."""
+        """Return the number of rims as a sentence."""
         count = "1 rim" if len(self) == 1 else f"{len(self)} rims"
         return f"{count} of round bodies, in pieces after the other tracks."
 
     def record(self) -> dict[str, Any]:
-        """The counts, for the record of a run."""
+        """Return the counts for the record of a run."""
         return {"counts": self.counts}
 
     def circles_mm(self, sides: int = 48) -> Float[np.ndarray, "c n 3"]:
-        """Points round each circle, (c, sides, 3) mm."""
+        """Return points on each circle at equal angles, (c, sides, 3) mm."""
         angle = np.tile(np.arange(sides) * (2 * np.pi / sides), (len(self), 1))
         return points_on_circles(Circles(self.centre_mm, self.normal, self.radius_mm), angle)
 
     def wires(self) -> Wires:
-        """Each circle as a closed line."""
+        """Return each circle as a closed polygon for drawing."""
         circles = self.circles_mm()
         return wires_of_lines([[np.concatenate([circle, circle[:1]])] for circle in circles])

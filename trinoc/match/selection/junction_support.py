@@ -26,11 +26,17 @@ from trinoc.numerics.joins import (
 
 
 class EndpointPairs(NamedTuple):
-    """Directed edges between ends, sorted by the first; end = 2 * candidate + 0 or 1.
+    """Ordered pairs of line ends that may meet at a junction, sorted by `end`.
 
-    end, other_end : the two ends.
-    log_ratio : (e, k) log density of the meeting over that of clutter, for each gap scale,
-        without the density of lines in space.
+    End 2 k is the first end of candidate k, end 2 k + 1 its second end.
+
+    Attributes
+    ----------
+    end, other_end : (e,)
+        The two ends.
+    log_ratio : (e, k)
+        Log density of the positions of both ends at a junction over that by chance, for each gap
+        scale. The density of lines in space is not included.
     """
 
     end: Int[np.ndarray, "e"]
@@ -39,8 +45,14 @@ class EndpointPairs(NamedTuple):
 
 
 class JunctionParameters(NamedTuple):
-    """Share of ends at a junction, and share of each gap scale among these. One value per frame
-    of a stack.
+    """Frequency of junctions; one value for each frame of a stack.
+
+    Attributes
+    ----------
+    end_at_junction : float or (f,)
+        Share of line ends that meet another line end.
+    gap_shares : (k,)
+        Share of each scale of the gap between an end and its junction.
     """
 
     end_at_junction: Float[np.ndarray, "*f"] | float
@@ -50,8 +62,9 @@ class JunctionParameters(NamedTuple):
 def prior_junctions(
     tuning: JunctionTuning = DEFAULT.junctions, frames: tuple[int, ...] = ()
 ) -> JunctionParameters:
-    """Parameters before the first EM step. `frames` is the shape of a quantity with one value
-    per frame.
+    """Return the junction parameters before the first EM step.
+
+    `frames` is () for a single frame, (f,) for a stack of f frames.
     """
     gaps = np.array(tuning.prior_gaps)
     return JunctionParameters(
@@ -65,9 +78,9 @@ def endpoint_pairs(
     tuning: JunctionTuning = DEFAULT.junctions,
     evidence: EvidenceTuning = DEFAULT.evidence,
 ) -> EndpointPairs:
-    """All pairs of near ends of candidates in one frame that share no segment.
+    """List the pairs of close line ends, for candidates of one frame that share no segment.
 
-    If there are too many, only the candidates with the highest `log_odds` take part.
+    If there are too many pairs, only the candidates with the largest `log_odds` are used.
     """
     if len(candidates.index) == 0:
         return EndpointPairs(_NO_PAIRS[:, 0], _NO_PAIRS[:, 0], np.zeros((0, len(tuning.gaps_px))))
@@ -113,10 +126,10 @@ def _pairs_of_near_ends(
     radius_mm: float,
     limit: int,
 ) -> Int[np.ndarray, "p 2"]:
-    """Pairs of ends within a distance, at most `limit`.
+    """Return the pairs of line ends within `radius_mm`, at most `limit` pairs.
 
-    The less likely half of the candidates is dropped until the number is small enough. Pairs are
-    counted before they are listed.
+    While there are more pairs, the less likely half of the candidates is removed. Pairs are counted
+    before they are listed, to limit the memory.
     """
     rows = np.argsort(-log_odds, kind="stable")
     while True:
@@ -132,9 +145,9 @@ def _pairs_of_near_ends(
 def _pairs_of_near_ends_in_frames(
     positions: Float[np.ndarray, "n 3"], frame: Int[np.ndarray, "n"]
 ) -> Int[np.ndarray, "p 2"]:
-    """Pairs of ends of one frame within a distance of 1.
+    """Return the pairs of line ends of the same frame whose positions differ by at most 1.
 
-    The ends are sorted along one axis. In small frames this is faster than a tree.
+    The ends are sorted along one axis, which is faster than a k-d tree for small frames.
     """
     first_coordinate = np.clip(positions[:, 0], -_FARTHEST, _FARTHEST) + 3 * _FARTHEST * frame
     order = np.argsort(first_coordinate, kind="stable")
@@ -196,9 +209,10 @@ def junction_log_odds(
     tuning: JunctionTuning = DEFAULT.junctions,
     frame: Int[np.ndarray, "m"] | None = None,
 ) -> tuple[Float[np.ndarray, "m"], JunctionParameters]:
-    """Log odds that junctions add to each candidate (m,), and the updated junction parameters.
+    """Return the log odds that junctions add to each candidate, (m,), and updated parameters.
 
-    `log_ends_density` is the log of the number of line ends per volume, 1/mm^3.
+    `posterior` is the current probability of each candidate. `log_ends_density` is the log of the
+    number of line ends per mm^3.
     """
     ends, frame_of_end = 2 * len(posterior), None if frame is None else np.repeat(frame, 2)
     frame_of_edge = take_groups(frame_of_end, graph.other_end)

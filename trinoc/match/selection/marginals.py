@@ -43,9 +43,26 @@ from trinoc.numerics.tables import take_rows
 
 
 class Selection(NamedTuple):
-    """Candidates, their log odds without and with rivals, and the mask of the accepted ones.
+    """Candidates of three views with their posterior, and the parameters estimated from them.
 
-    discarded_index : (n, v) segments of likely candidates beyond the memory limit.
+    Attributes
+    ----------
+    candidates : Candidates
+        The candidates.
+    log_odds : (m,)
+        Log odds before the exclusion of rivals.
+    posterior_log_odds : (m,)
+        Log odds after the exclusion of rivals.
+    is_accepted : (m,)
+        True for the accepted candidates, of which no two are rivals.
+    graph : ConflictGraph
+        Pairs of rivals.
+    mixture : MixtureParameters
+        Mixture parameters.
+    junctions : JunctionParameters
+        Junction parameters.
+    discarded_index : (n, v)
+        Segments of likely candidates that were discarded to limit the memory.
     """
 
     candidates: Candidates
@@ -59,11 +76,19 @@ class Selection(NamedTuple):
 
 
 class Tracks(NamedTuple):
-    """Accepted lines, as candidates with a segment in two or more views.
+    """Accepted candidates, each with a segment in two or more views.
 
-    rival_posterior : posterior log odds of the best candidate that each excluded, -inf if none.
-    member_posterior : (t, v) probability that each segment is of the line of the others, NaN if
-        there is no segment or fewer than three others. None if all are NaN.
+    Attributes
+    ----------
+    candidates : Candidates
+        The candidates.
+    posterior_log_odds : (t,)
+        Posterior log odds.
+    rival_posterior : (t,)
+        Posterior log odds of the best rival of each candidate; -inf if there is none.
+    member_posterior : (t, v) or None
+        Probability that each segment belongs to the line of the track's other segments. NaN for
+        views without a segment and for tracks in fewer than four views. None if all values are NaN.
     """
 
     candidates: Candidates
@@ -72,7 +97,7 @@ class Tracks(NamedTuple):
     member_posterior: Float[np.ndarray, "t v"] | None = None
 
     def take(self, rows: np.ndarray) -> "Tracks":
-        """Return the rows of the given indices, in that order, or where a mask is true."""
+        """Return the tracks with the given indices, or the tracks for which a mask is true."""
         return take_rows(self, rows)
 
 
@@ -83,22 +108,33 @@ def select(
     neighbours: bool = True,
     tuning: MatchTuning = DEFAULT,
 ) -> Selection:
-    """Estimate the mixture parameters by EM, and accept candidates in order of posterior log odds.
+    """Compute the posteriors of candidates, and accept the most likely ones of all rivals.
 
     Parameters
     ----------
-    candidates : of one frame or of a stack. In a stack each frame has its own parameters.
-    typical_count : number of segments per view, for each frame.
-    neighbours : False ignores junctions, so that only evidence and rivals count.
+    candidates : Candidates
+        Candidates of one frame or of a stack of frames. In a stack, each frame has its own
+        parameters.
+    typical_count : float or (f,)
+        Number of segments per view, for each frame.
+    neighbours : bool
+        False to ignore junctions between candidates.
+    tuning : MatchTuning
+        Tuned constants.
+
+    Returns
+    -------
+    Selection
+        Log odds, accepted candidates, and the parameters that EM estimated.
     """
     evidence, selection_tuning = tuning.evidence, tuning.selection
     mixture = prior_parameters(candidates.ends_mm, typical_count, tuning, candidates.frame)
     # EM uses only the likely candidates, which are far fewer and have far fewer conflicts.
     odds = prior_log_odds(candidates, mixture, evidence)
-    kept_rows = rows_within_memory(
+    selected_rows = rows_within_memory(
         odds, candidates.index, selection_tuning.learn_log_odds, selection_tuning
     )
-    likely = candidates.take(kept_rows)
+    likely = candidates.take(selected_rows)
     graph = conflict_graph(likely.index, likely.interval, selection_tuning)
     beliefs = None
     for _ in range(selection_tuning.em_rounds):
@@ -110,18 +146,18 @@ def select(
         )
     odds = prior_log_odds(candidates, mixture, evidence)
     possible_rows = np.flatnonzero(odds > selection_tuning.prune_log_odds)
-    kept_rows = rows_within_memory(
+    selected_rows = rows_within_memory(
         odds, candidates.index, selection_tuning.prune_log_odds, selection_tuning
     )
-    log_share = np.zeros(len(kept_rows))
-    discarded_index = candidates.index[np.setdiff1d(possible_rows, kept_rows)]
-    if len(kept_rows) < len(possible_rows):
+    log_share = np.zeros(len(selected_rows))
+    discarded_index = candidates.index[np.setdiff1d(possible_rows, selected_rows)]
+    if len(selected_rows) < len(possible_rows):
         log_share = log_kept_share(
             odds[possible_rows],
             candidates.index[possible_rows],
-            np.searchsorted(possible_rows, kept_rows),
+            np.searchsorted(possible_rows, selected_rows),
         )
-    candidates, odds = candidates.take(kept_rows), odds[kept_rows]
+    candidates, odds = candidates.take(selected_rows), odds[selected_rows]
     graph = conflict_graph(candidates.index, candidates.interval, selection_tuning)
     beliefs = sum_product(odds, graph, selection_tuning, candidates.frame)
     posterior_log_odds = beliefs.log_odds
@@ -144,7 +180,7 @@ def select(
 
 
 def selected_tracks(selection: Selection) -> Tracks:
-    """Accepted candidates, with the posterior log odds of the best rival of each."""
+    """Return the accepted candidates as tracks, with the log odds of the best rival of each."""
     graph = selection.graph
     rival_posterior = np.full(len(selection.posterior_log_odds), -np.inf)
     owner, rival = graph.slot // graph.views, graph.rival_slot // graph.views
@@ -200,12 +236,13 @@ def residual_scale(
     frames: int = 1,
     tuning: NoiseTuning = DEFAULT.noise,
 ) -> Float[np.ndarray, "f"]:
-    """Standard deviation of the segments across themselves over the stated one, for each frame,
+    """Estimate the factor between actual and assumed errors across the segments, for each frame,
     (f,).
 
-    A prior of `prior_observations` triples that fit as stated regularises small samples. Triples
-    with mostly common errors (`across_px2`) are ignored, since they have small residuals in any
-    case.
+    The estimate follows from the median chi-square of the sure triples. Triples whose errors are
+    mostly common to both ends of their segments are ignored, because such errors cause no residual.
+    `across_px2` is the assumed covariance. A prior of `prior_observations` triples with a factor of
+    1 stabilises the estimate of few triples.
     """
     mean_variance = across_px2.sum(axis=(2, 3)) / 4
     common_variance = np.stack([common_error_variance(view) for view in across_px2])
@@ -235,10 +272,11 @@ def learn_noise_scale(
     previous_scale: Float[np.ndarray, "f"],
     tuning: NoiseTuning,
 ) -> tuple[Float[np.ndarray, "f"], Bool[np.ndarray, "f"]]:
-    """Update the noise scale of each frame.
+    """Estimate the noise scale of each frame.
 
-    Returns (noise scale, mask of frames to match again). A frame is matched again if its scale
-    differs much from the scale `previous_scale` that its candidates were found with.
+    The noise scale is the standard deviation of the errors across the segments, estimated over
+    stated. Returns (noise scale, mask of frames to match again). A frame is matched again if its
+    scale differs much from `previous_scale`, which was used for its candidates.
     """
     factor = (
         residual_scale(selections, across_px2, len(previous_scale), tuning) if selections else 1.0

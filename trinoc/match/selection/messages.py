@@ -26,12 +26,19 @@ from trinoc.numerics.programs import kept_jit
 
 
 class ConflictGraph(NamedTuple):
-    """Directed conflicts of candidates that use the same segment of a view.
+    """Ordered pairs of rivals: candidates that use the same part of a segment.
 
-    They are sorted by slot = candidate * views + view.
+    A slot is a candidate and a view, encoded as candidate * views + view. The pairs are sorted by
+    `slot`.
 
-    slot : candidate whose evidence the rival limits, and view of the shared segment.
-    rival_slot : the rival candidate, and the same view.
+    Attributes
+    ----------
+    slot : (e,)
+        Candidate that receives the message of its rival, and the view of the common segment.
+    rival_slot : (e,)
+        The rival, and the same view.
+    views : int
+        Number of views.
     """
 
     slot: Int[np.ndarray, "e"]
@@ -44,10 +51,10 @@ def conflict_graph(
     interval: Float[np.ndarray, "m v 2"],
     tuning: SelectionTuning = DEFAULT.selection,
 ) -> ConflictGraph:
-    """Conflicts between candidates that claim the same part of a segment; -1 in `index` claims
-    nothing.
+    """List the pairs of candidates that use the same part of a segment.
 
-    Two candidates that share parts in several views conflict once, in the first of these views.
+    Two candidates with several common parts are listed for the first such view only. `index` is -1
+    in views without a segment.
     """
     views = index.shape[1]
     # Sorted bounds of the interval on each segment.
@@ -84,12 +91,13 @@ def rows_within_memory(
     above: float,
     tuning: SelectionTuning = DEFAULT.selection,
 ) -> Int[np.ndarray, "k"]:
-    """Rows of the candidates with log odds above a limit, (k,).
+    """Return the indices of the candidates whose log odds exceed `above`, (k,).
 
-    If their conflicts exceed the memory limit, only the most likely candidates remain.
+    If these candidates have more conflicts than the memory allows, only the most likely ones are
+    returned.
     """
-    kept_rows = np.flatnonzero(log_odds > above)
-    log_odds, index = log_odds[kept_rows], index[kept_rows]
+    selected_rows = np.flatnonzero(log_odds > above)
+    log_odds, index = log_odds[selected_rows], index[selected_rows]
 
     def conflicts(threshold: float) -> int:
         rows = index[log_odds >= threshold]
@@ -104,18 +112,22 @@ def rows_within_memory(
             ordered, True, key=lambda odds: conflicts(odds) <= tuning.max_conflicts
         )
         threshold = ordered[position]
-    return kept_rows[log_odds >= threshold]
+    return selected_rows[log_odds >= threshold]
 
 
 def log_kept_share(
-    log_odds: Float[np.ndarray, "m"], index: Int[np.ndarray, "m v"], kept_rows: Int[np.ndarray, "k"]
+    log_odds: Float[np.ndarray, "m"],
+    index: Int[np.ndarray, "m v"],
+    selected_rows: Int[np.ndarray, "k"],
 ) -> Float[np.ndarray, "k"]:
-    """Log of the share of the kept candidates in the odds of all candidates of a segment, (k,).
+    """Log of the probability that the right candidate was not discarded, for each selected one,
+    (k,).
 
-    For a candidate it is the smallest value of its segments. It is the probability that the
-    right candidate was kept, when others were discarded to limit the memory.
+    Candidates are discarded to limit the memory. For a segment, the probability is the odds of its
+    selected candidates over the odds of all its candidates. For a candidate, the result is the
+    smallest value of its segments.
     """
-    share = np.zeros(len(kept_rows))
+    share = np.zeros(len(selected_rows))
     for view in range(index.shape[1]):
         segment = index[:, view]
         rows = np.flatnonzero(segment >= 0)
@@ -126,21 +138,24 @@ def log_kept_share(
         odds = np.zeros(len(segment))
         odds[rows] = np.exp(log_odds[rows] - largest[segment[rows]])
         odds_of_none = np.exp(-largest)
-        kept_rows_in_view = kept_rows[segment[kept_rows] >= 0]
+        selected_in_view = selected_rows[segment[selected_rows] >= 0]
         all_odds = np.bincount(segment[rows], odds[rows], count) + odds_of_none
-        kept_odds = (
-            np.bincount(segment[kept_rows_in_view], odds[kept_rows_in_view], count) + odds_of_none
+        selected_odds = (
+            np.bincount(segment[selected_in_view], odds[selected_in_view], count) + odds_of_none
         )
-        kept_segment = np.where(segment[kept_rows] >= 0, segment[kept_rows], 0)
-        log_share = np.log(kept_odds / all_odds)[kept_segment] if count else share
-        share = np.minimum(share, np.where(segment[kept_rows] >= 0, log_share, 0.0))
+        selected_segment = np.where(segment[selected_rows] >= 0, segment[selected_rows], 0)
+        log_share = np.log(selected_odds / all_odds)[selected_segment] if count else share
+        share = np.minimum(share, np.where(segment[selected_rows] >= 0, log_share, 0.0))
     return share
 
 
 def with_log_share(
     log_odds: Float[np.ndarray, "m"], log_share: Float[np.ndarray, "m"]
 ) -> Float[np.ndarray, "m"]:
-    """Log odds of probabilities multiplied by a share."""
+    """Return the log odds of the probability p s.
+
+    `log_odds` are the log odds of p, and `log_share` is the logarithm of s.
+    """
     # log(p s / (1 - p s)) with p = 1 / (1 + exp(-x)).
     lacking = np.expm1(-log_share)
     return -np.logaddexp(-log_odds - log_share, np.log(np.maximum(lacking, 1e-300)))
@@ -153,7 +168,10 @@ def use_claimed_parts(
     claimed_interval: Float[np.ndarray, "t v 2"],
     tuning: SelectionTuning = DEFAULT.selection,
 ) -> Bool[np.ndarray, "m"]:
-    """Mask of the candidates that use a part of a segment claimed by another line, (m,)."""
+    """Return the mask of the candidates that use a part of a segment of a given track, (m,).
+
+    `claimed_index` and `claimed_interval` are the segments of the tracks, and their parts.
+    """
     is_claimed = np.zeros(len(index), dtype=bool)
     for view in range(index.shape[1]):
         owners = np.argsort(claimed_index[:, view], kind="stable")
@@ -212,7 +230,15 @@ _State = tuple[Float[ArrayLike, "m v"], Bool[ArrayLike, "f"], Int[ArrayLike, ""]
 
 
 class Beliefs(NamedTuple):
-    """Log odds of each candidate after exclusion, and the messages behind them."""
+    """Result of belief propagation.
+
+    Attributes
+    ----------
+    log_odds : (m,)
+        Posterior log odds of each candidate.
+    messages : (m, v)
+        Message from the segment of each view to the candidate.
+    """
 
     log_odds: Float[np.ndarray, "m"]
     messages: Float[np.ndarray, "m v"]
@@ -225,28 +251,34 @@ def sum_product(
     frame: Int[np.ndarray, "m"] | None = None,
     previous: Beliefs | None = None,
 ) -> Beliefs:
-    """Iterate the messages to their fixed point.
+    """Compute posterior log odds under mutual exclusion, by sum-product belief propagation.
+
+    The messages are iterated to their fixed point, in each frame until it converges.
 
     Parameters
     ----------
-    log_odds : prior log odds of the candidates, (m,).
-    graph : their conflicts.
-    frame : frame of each candidate, below FRAMES_AT_ONCE. Each frame is iterated until it
-        converges.
-    previous : beliefs under other odds, from which to start. Without them, the start is the
-        greedy choice.
+    log_odds : (m,)
+        Log odds before the exclusion of rivals.
+    graph : ConflictGraph
+        Pairs of rivals.
+    tuning : SelectionTuning
+        Tuned constants.
+    frame : (m,), optional
+        Frame of each candidate, below FRAMES_AT_ONCE.
+    previous : Beliefs, optional
+        Initial messages. Default: the messages of the candidates that `choose_greedily` accepts.
     """
     count = len(log_odds)
     if len(graph.slot) == 0:
         return Beliefs(log_odds, np.zeros((count, graph.views)))
     has_rival = np.zeros(count, dtype=bool)
     has_rival[graph.slot // graph.views] = True
-    rows, compact_number = np.flatnonzero(has_rival), np.cumsum(has_rival) - 1
+    rows, new_index = np.flatnonzero(has_rival), np.cumsum(has_rival) - 1
     candidates, conflicts = _padded_sizes(len(rows) + 1, len(graph.slot))
     # All conflicts of padding connect the last slots, which belong to a candidate of padding.
     padding_slot = candidates * graph.views - 1
     slot, rival_slot = (
-        pad_rows(_renumber_slots(slots, compact_number, graph.views), conflicts, padding_slot)
+        pad_rows(_renumber_slots(slots, new_index, graph.views), conflicts, padding_slot)
         for slots in (graph.slot, graph.rival_slot)
     )
     messages = np.zeros((count, graph.views))
@@ -270,9 +302,9 @@ def sum_product(
 
 
 def _padded_sizes(candidates: int, conflicts: int) -> tuple[int, int]:
-    """Numbers of candidates and conflicts after padding.
+    """Return the numbers of candidates and of conflicts after padding.
 
-    Small problems use few different sizes, because compiling a program takes as long as hundreds
+    Small problems use only a few sizes, because compiling another program takes as long as hundreds
     of rounds on padding.
     """
     small_size = next((size for size in (256, 2048) if candidates <= size), None)
@@ -286,15 +318,15 @@ def _padded_sizes(candidates: int, conflicts: int) -> tuple[int, int]:
 
 
 def _renumber_slots(
-    slot: Int[np.ndarray, "e"], number: Int[np.ndarray, "m"], views: int
+    slot: Int[np.ndarray, "e"], new_index: Int[np.ndarray, "m"], views: int
 ) -> Int[np.ndarray, "e"]:
-    """Slots after renumbering the candidates."""
+    """Return the slots with each candidate k replaced by new_index[k]."""
     owner, view = np.divmod(slot, views)
-    return (number[owner] * views + view).astype(np.int32)
+    return (new_index[owner] * views + view).astype(np.int32)
 
 
 def label_frames(frame: Int[np.ndarray, "m"] | None, count: int) -> Int[np.ndarray, "m"]:
-    """Frame of each candidate, 0 for a single frame, (m,)."""
+    """Return the frame of each of `count` candidates, (m,): 0 if `frame` is None."""
     return np.zeros(count, np.int32) if frame is None else frame.astype(np.int32)
 
 
@@ -310,10 +342,14 @@ def _propagate(
     rules: _Iteration,
     views: int,
 ) -> Float[ArrayLike, "m v"]:
-    """Messages to the candidates, starting from the greedy choice or from previous messages."""
+    """Iterate the messages to all candidates until they converge, and return them, (m, v).
+
+    With `from_greedy`, the initial messages are those of the candidates `is_selected`. Otherwise
+    the initial messages are `start_messages`.
+    """
 
     def message(odds: Float[ArrayLike, "m v"]) -> Float[ArrayLike, "m v"]:
-        """Messages that each slot receives, from the odds that each slot sends."""
+        """Return the message to each slot, -log(1 + sum of the odds of its rivals)."""
         rival_odds = odds.reshape(-1)[rival_slot]
         total = jax.ops.segment_sum(
             rival_odds, slot, num_segments=odds.size, indices_are_sorted=True
@@ -350,11 +386,14 @@ def _propagate(
 
 
 def choose_greedily(score: Float[np.ndarray, "m"], graph: ConflictGraph) -> Bool[np.ndarray, "m"]:
-    """Accept candidates in order of score, if positive and not in conflict with an accepted one,
-    (m,).
+    """Return the mask of the accepted candidates, (m,): those with positive scores, the best first.
 
-    In each round, every candidate that beats all of its open rivals is accepted, and its rivals
-    are excluded. The result equals that of accepting one candidate at a time.
+    A candidate is accepted if none of its rivals was accepted before.
+
+    Notes
+    -----
+    In each round, every candidate with a larger score than all of its remaining rivals is accepted,
+    and its rivals are excluded. Accepting one candidate at a time gives the same result.
     """
     is_accepted = score > 0
     owner, rival = graph.slot // graph.views, graph.rival_slot // graph.views

@@ -25,9 +25,16 @@ from trinoc.match.tuning.selection import RepetitionTuning
 
 
 class Repetition(NamedTuple):
-    """Positions of likely candidates in space, and the upper limit of the log odds there.
+    """Upper limits of the log odds in scenes with repeated patterns, at positions in space.
 
-    frame : frame of each position.
+    Attributes
+    ----------
+    middle_mm : (t, 3)
+        Positions: midpoints of likely candidates, world frame.
+    greatest_log_odds : (t,)
+        Upper limit of the log odds at each position.
+    frame : (t,)
+        Frame of each position in a stack.
     """
 
     middle_mm: Float[np.ndarray, "t 3"]
@@ -45,7 +52,11 @@ def find_repetition(
     graph: ConflictGraph,
     tuning: RepetitionTuning = DEFAULT.repetition,
 ) -> Repetition:
-    """Estimate the upper limit of log odds at each likely candidate that no rival surpasses."""
+    """Estimate the upper limit of the log odds near each likely candidate that has no likelier
+    rival.
+
+    The limit is low where many nearby candidates have a rival that is nearly as likely.
+    """
     rival_log_odds = np.full(len(log_odds), -np.inf)
     np.maximum.at(
         rival_log_odds, graph.slot // graph.views, log_odds[graph.rival_slot // graph.views]
@@ -72,13 +83,17 @@ def find_repetition(
 def limit_log_odds(
     log_odds: Float[np.ndarray, "m"], limit: Float[np.ndarray, "m"]
 ) -> Float[np.ndarray, "m"]:
-    """Combine log odds against clutter with the upper limit that a repeated pattern gives, (m,)."""
+    """Combine log odds against clutter with the upper limit of a repeated pattern, (m,).
+
+    With odds w and limit u, the result is the log of 1 / (1 / w + 1 / u).
+    """
     return -np.logaddexp(-log_odds, -limit)
 
 
 def greatest_log_odds(candidates: Candidates, repetition: Repetition) -> Float[np.ndarray, "m"]:
-    """Upper limit of the log odds of each candidate, from the nearest position, (m,); infinite
-    if unknown.
+    """Return the upper limit of each candidate's log odds: that of the nearest position, (m,).
+
+    The limit is inf in frames without positions.
     """
     limit = np.full(len(candidates.index), np.inf)
     frame = label_frames(candidates.frame, len(limit))
@@ -91,4 +106,4 @@ def greatest_log_odds(candidates: Candidates, repetition: Repetition) -> Float[n
 
 
 def _rows_per_frame(frame: Int[np.ndarray, "t"]) -> Iterator[Int[np.ndarray, "_"]]:
-    return (np.flatnonzero(frame == each) for each in np.unique(frame))
+    return (np.flatnonzero(frame == label) for label in np.unique(frame))

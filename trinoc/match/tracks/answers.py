@@ -25,14 +25,17 @@ from trinoc.match.tuning.tracks import TrackTuning
 
 
 def cameras_are_collinear(centre_mm: Float[np.ndarray, "f v 3"]) -> Bool[np.ndarray, "f"]:
-    """For each frame: True if the camera centres lie on one line."""
+    """Return the mask of the frames whose camera centres lie on one line, (f,)."""
     centred = centre_mm - centre_mm.mean(axis=1, keepdims=True)
     spread = np.linalg.svd(centred, compute_uv=False)
     return spread[:, 1] < DEFAULT.tracks.collinear_share * spread[:, 0]
 
 
 def narrow_notes(frame: FrameInput) -> tuple[str, ...]:
-    """Warning if two cameras are nearly at one position, relative to the depth of the scene."""
+    """Return the warning that two cameras are too close together for depth, or no warning.
+
+    The distance is compared with the depth of the scene.
+    """
     tuning, names = DEFAULT.tracks, frame.names
     centres = frame.cameras.centre_mm
     distance_mm = np.linalg.norm(centres[:, None] - centres, axis=2)
@@ -58,7 +61,7 @@ def narrow_notes(frame: FrameInput) -> tuple[str, ...]:
 
 
 def _fold_notes(frame: FrameInput) -> tuple[str, ...]:
-    """Warning if segments beyond the fold of a lens are excluded."""
+    """Return the warning that segments beyond the fold of a lens are excluded, or no warning."""
     counts = {
         name: int((reasons == BEYOND_FOLD).sum())
         for name, reasons in zip(frame.names, frame.exclusion_reasons, strict=True)
@@ -74,8 +77,10 @@ def _fold_notes(frame: FrameInput) -> tuple[str, ...]:
 
 
 def _share_at_infinity(frame: FrameInput, first: int, second: int) -> float:
-    """Share of the longest segments of one view that coincide with a segment of another view at
-    infinite depth.
+    """Return the share of long segments of view `first` that match view `second` at infinite depth.
+
+    Infinite depth means that the segment coincides with one of the second view after rotation
+    alone.
     """
     tuning = DEFAULT.tracks
     ends, other_ends = frame.ends_px[first], frame.ends_px[second]
@@ -114,8 +119,10 @@ def write_notes(
     discarded: int,
     tuning: NoiseTuning = DEFAULT.noise,
 ) -> tuple[str, ...]:
-    """Warnings on discarded triples, on noise that differs from the stated one, and on collinear
-    cameras.
+    """Return the warnings on discarded triples, on unexpected noise, and on collinear cameras.
+
+    `unlocated` is the number of excluded tracks along epipolar lines. `discarded` is the number of
+    triples that exceeded the memory limit.
     """
     notes = []
     if discarded:
@@ -151,19 +158,30 @@ def unmatched_reasons(
     is_in_pattern: Bool[np.ndarray, "n"],
     tuning: TrackTuning = DEFAULT.tracks,
 ) -> Shaped[np.ndarray, "n"]:
-    """Reason for each segment of one view, (n,) strings.
+    """Return the reason why each segment of one view has no match, (n,) strings.
+
+    A matched segment has the reason "matched" or "matched within a pattern".
 
     Parameters
     ----------
-    segment : the segment of this view in each candidate, -1 if none.
-    log_odds : each candidate's evidence before the exclusion of rivals.
-    is_out_of_range : segments with a candidate outside the depth range.
-    is_along_epipolar : segments whose best candidate lies along the epipolar lines of all pairs of
-        its views.
-    is_matched : segments on a track.
-    is_missing_in_third : segments that fit in two views, while a third view should show the line
-        and does not. Examples are rims of round bodies, and moving shadows and highlights.
-    is_in_pattern : matched segments whose match is doubtful because of a repeated pattern.
+    segment : (m,)
+        Segment of this view in each candidate, -1 if the candidate has none.
+    log_odds : (m,)
+        Log odds of each candidate before the exclusion of rivals.
+    is_out_of_range : (n,)
+        True for segments with a candidate outside the depth range.
+    is_along_epipolar : (n,)
+        True for segments whose best candidate lies along the epipolar lines of all its pairs of
+        views.
+    is_matched : (n,)
+        True for segments on a track.
+    is_missing_in_third : (n,)
+        True for segments that match in two views, while a third view should show the line and does
+        not. Examples are rims of round bodies, and moving shadows and highlights.
+    is_in_pattern : (n,)
+        True for matched segments whose match is doubtful because of a repeated pattern.
+    tuning : TrackTuning
+        Tuned constants.
     """
     segment_count = len(is_matched)
     has_segment = segment >= 0
@@ -186,7 +204,10 @@ def unmatched_reasons(
 
 
 def count_reasons(reasons: dict[str, Shaped[np.ndarray, "_"]]) -> dict[str, int]:
-    """Number of segments for each reason, over all views. Ambiguous ones count as one kind."""
+    """Return the number of segments with each reason, over all views.
+
+    All reasons "ambiguous with ..." are counted together.
+    """
     totals: Counter[str] = Counter()
     # Few reasons are different, so each distinct string is split once.
     for word, count in Counter(word for view in reasons.values() for word in view.tolist()).items():
@@ -204,10 +225,22 @@ SURE, CERTAIN = "tracks sure against chance", "tracks certain against chance"
 
 
 class TrackLines(NamedTuple):
-    """Tracks of all frames, in the matcher's order of views and segments.
+    """Tracks of all frames with their lines, in the matcher's sequence of views and segments.
 
-    chance_log_odds : `posterior_log_odds` without the reduction for repeated patterns.
-    member_posterior : as in `Tracks`.
+    Attributes not listed here are as in `Matches`.
+
+    Attributes
+    ----------
+    ends_mm : (t, 2, 3)
+        Ends of the line, world frame.
+    posterior_log_odds, rival_posterior : (t,)
+        Posterior log odds of the track and of its best rival.
+    is_in_pattern : (t,)
+        True if a repeated pattern reduces the posterior much.
+    chance_log_odds : (t,)
+        `posterior_log_odds` without the reduction for repeated patterns.
+    member_posterior : (t, v)
+        As in `Tracks`.
     """
 
     index: Int[np.ndarray, "t v"]
@@ -224,8 +257,10 @@ class TrackLines(NamedTuple):
     member_posterior: Float[np.ndarray, "t v"]
 
     def index_likelier_than(self, posterior: float) -> Int[np.ndarray, "_ v"]:
-        """Segments of the tracks in three or more views whose `chance_log_odds` exceed this
-        posterior.
+        """Return the segments (k, v) of the tracks in three or more views that exceed a
+        probability.
+
+        The probability is that of `chance_log_odds`.
         """
         in_three = (self.index >= 0).sum(axis=1) > 2
         return self.index[in_three & (probability(self.chance_log_odds) > posterior)]
@@ -241,17 +276,26 @@ def build_matches(
     noise_scale: Float[np.ndarray, "f"],
     tuning: NoiseTuning,
 ) -> list[Matches]:
-    """Build the matches of each frame, in the caller's order of views.
+    """Build the matches of each frame, with the views in the caller's sequence.
 
     Parameters
     ----------
-    inputs : the matcher's input.
-    lines : tracks of all frames.
-    frame : frame of each track.
-    reasons : for each view, why a segment is on no track.
-    counts : numbers of each frame, by name.
-    names : the caller's order of view names, for each frame.
-    noise_scale : estimated over stated standard deviation, for each frame.
+    inputs : MatchInput
+        Input of the matcher.
+    lines : TrackLines
+        Tracks of all frames.
+    frame : (t,)
+        Frame of each track.
+    reasons : list of arrays
+        For each view, the reason of each segment.
+    counts : mapping
+        For each count of the result, its value in each frame.
+    names : sequence of tuple of str
+        View names of each frame, in the caller's sequence.
+    noise_scale : (f,)
+        Noise scale of each frame.
+    tuning : NoiseTuning
+        Tuned constants.
     """
     lines, tail = _with_unequal_errors(lines, frame, inputs.frames, tuning)
     index, fragments = _in_caller_order(inputs, lines, frame)
@@ -294,37 +338,37 @@ def build_matches(
         np.stack([frame_input.cameras.centre_mm for frame_input in inputs.frames])
     )
     results = []
-    for frame_number, view_names in enumerate(names):
-        rows_of_frame = order[slice(*bounds[frame_number : frame_number + 2])]
+    for f, view_names in enumerate(names):
+        rows_of_frame = order[slice(*bounds[f : f + 2])]
         frame_columns: dict[str, Any] = {
             name: column[rows_of_frame] for name, column in columns.items()
         }
         frame_reasons = {
-            name: reasons_of_frames[frame_number][view]
-            for name, view in zip(view_names, view_order[frame_number].tolist(), strict=True)
+            name: reasons_of_frames[f][view]
+            for name, view in zip(view_names, view_order[f].tolist(), strict=True)
         }
-        scale = float(noise_scale[frame_number])
-        numbers = {name: int(frame_counts[frame_number]) for name, frame_counts in counts.items()}
+        scale = float(noise_scale[f])
+        counts_of_frame = {name: int(frame_counts[f]) for name, frame_counts in counts.items()}
         results.append(
             Matches(
                 **frame_columns,
                 views=view_names,
                 reasons=frame_reasons,
-                counts=numbers | count_reasons(frame_reasons),
+                counts=counts_of_frame | count_reasons(frame_reasons),
                 noise_scale=scale,
                 notes=(
                     *write_notes(
                         len(view_names),
-                        bool(is_collinear[frame_number]),
-                        numbers[UNLOCATED_TRACKS],
+                        bool(is_collinear[f]),
+                        counts_of_frame[UNLOCATED_TRACKS],
                         scale,
-                        numbers[DISCARDED_TRIPLES],
+                        counts_of_frame[DISCARDED_TRIPLES],
                         tuning,
                     ),
-                    *narrow_notes(inputs.frames[frame_number]),
-                    *_fold_notes(inputs.frames[frame_number]),
+                    *narrow_notes(inputs.frames[f]),
+                    *_fold_notes(inputs.frames[f]),
                 ),
-                noise_tail=float(tail[frame_number]),
+                noise_tail=float(tail[f]),
             )
         )
     return results
@@ -336,9 +380,9 @@ def _with_unequal_errors(
     frames: Sequence[FrameInput],
     tuning: NoiseTuning,
 ) -> tuple[TrackLines, Float[np.ndarray, "f"]]:
-    """Scale the covariances of the lines for errors that differ between tracks.
+    """Multiply the covariance of each line by a factor, because errors differ between tracks.
 
-    Returns the lines, and the tail of the errors in each frame.
+    Returns (lines, tail of the error distribution in each frame). See `unequal_errors.py`.
     """
     degrees = degrees_of_misfit(lines.index)
     is_sure = (degrees > 0) & (probability(lines.posterior_log_odds) > tuning.sure_posterior)
@@ -354,7 +398,7 @@ def _with_unequal_errors(
 def _in_caller_order(
     inputs: MatchInput, lines: TrackLines, frame: Int[np.ndarray, "t"]
 ) -> tuple[Int[np.ndarray, "t v"], Float[np.ndarray, "t v 2 2"]]:
-    """Segment indices in the caller's numbering, and fragments in pixels of the distorted image."""
+    """Return the segment indices of the caller's input, and the fragments in image pixels."""
     index, fragments = np.full(lines.index.shape, -1), lines.fragments_px.copy()
     for view in range(lines.index.shape[1]):
         has_line = np.flatnonzero(lines.index[:, view] >= 0)
@@ -373,13 +417,15 @@ def _in_caller_order(
 def _reasons_in_caller_order(
     inputs: MatchInput, reasons: list[Shaped[np.ndarray, "_"]]
 ) -> list[list[Shaped[np.ndarray, "_"]]]:
-    """Reasons of each frame and view in the caller's order, including those of excluded
-    segments.
+    """Return the reasons of each frame and view, with the segments numbered as in the caller's
+    input.
+
+    Excluded segments are included.
     """
     starts, result = inputs.starts, []
-    for number, frame in enumerate(inputs.frames):
+    for f, frame in enumerate(inputs.frames):
         result.append([column.astype("U40") for column in frame.exclusion_reasons])
         for view, order in enumerate(frame.order):
-            reasons_in_view = reasons[view][slice(*starts[number : number + 2, view])]
+            reasons_in_view = reasons[view][slice(*starts[f : f + 2, view])]
             result[-1][view][order] = reasons_in_view
     return result

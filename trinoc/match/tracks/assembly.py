@@ -72,21 +72,29 @@ def assemble(
     noise_scale: Float[np.ndarray, "f"],
     tuning: MatchTuning = DEFAULT,
 ) -> list[Matches]:
-    """Build the matches of each frame, in the caller's order of views and numbering of segments.
+    """Build the matches of each frame, with views and segments numbered as in the caller's input.
 
-    Tracks that no pair of views can locate are excluded. The reason of their segments is "along the
-    epipolar lines".
+    Tracks along the epipolar lines of all their pairs of views have no depth. These tracks are
+    excluded, and the reason of their segments is "along the epipolar lines".
 
     Parameters
     ----------
-    inputs : the matcher's input. Its covariances include `noise_scale`.
-    tracks : tracks in three or more views.
-    selections : selection of each view triplet.
-    pairs : candidate pairs of step 3.
-    out_of_range : segments of triples outside the depth range or behind a camera, per selection.
-    names : the caller's order of view names, for each frame.
-    noise_scale : estimated over stated standard deviation, for each frame.
-    tuning : the constants of the matcher.
+    inputs : MatchInput
+        Input of the matcher, with covariances that include `noise_scale`.
+    tracks : Tracks
+        Tracks in three or more views.
+    selections : list of Selection
+        Selection of each triplet of views.
+    pairs : Pairs
+        Candidate pairs of step 3.
+    out_of_range : sequence of arrays
+        For each triplet, segments of its triples outside the depth range or behind a camera.
+    names : sequence of tuple of str
+        View names of each frame, in the caller's sequence.
+    noise_scale : (f,)
+        Noise scale of each frame.
+    tuning : MatchTuning
+        Tuned constants.
     """
     repeating = [
         find_repetition(
@@ -120,7 +128,7 @@ def assemble(
 
 
 def _count_per_frame(inputs: MatchInput, groups: list[np.ndarray]) -> Int[np.ndarray, "f"]:
-    """Number of groups of segments in each frame, (f,)."""
+    """Return the number of rows in each frame, (f,). A row contains the segments of a candidate."""
     frames = [look_up_frames(inputs.lines, index) for index in groups]
     labels = [
         np.zeros(len(index), np.int64) if frame is None else frame
@@ -135,7 +143,7 @@ def _build_lines(
 ) -> tuple[TrackLines, Int[np.ndarray, "u v"]]:
     """Fit the lines in space of all tracks and accepted pairs.
 
-    Returns the lines, and the segments (u, v) of tracks that no pair of views can locate.
+    Returns (lines, segments (u, v) of the tracks whose depth no pair of views determines).
     """
     index = np.concatenate([tracks.candidates.index, accepted.candidates.index])
     interval = np.concatenate([tracks.candidates.interval, accepted.candidates.interval])
@@ -185,11 +193,11 @@ def _build_lines(
 
 
 def direction_doubt(lines: SegmentTable, index: Int[np.ndarray, "t v"]) -> Float[np.ndarray, "t"]:
-    """Standard deviation of a segment's direction over its angle to the epipolar line, per track
-    (t,).
+    """Return the direction error of each track's segments over their epipolar angle, (t,).
 
-    For a pair of views it is the larger value of the two segments. For a track it is the
-    smallest value of all its pairs.
+    For a segment, the ratio is the standard deviation of its direction over its angle to the
+    epipolar line. For a pair of views, it is the larger ratio of the two segments. For a track, it
+    is the smallest ratio of all pairs of views.
     """
     smallest, frame = np.full(len(index), np.inf), look_up_frames(lines, index)
     for a, b in combinations(range(index.shape[1]), 2):
@@ -210,7 +218,10 @@ def _direction_doubt_in_view(
     segment: Int[np.ndarray, "n"],
     frame: Int[np.ndarray, "n"] | None,
 ) -> Float[np.ndarray, "n"]:
-    """The same ratio for the segments of one view, with the epipole of another view, (n,)."""
+    """Return the direction error relative to the epipolar angle for segments of one view, (n,).
+
+    The epipolar lines are those of the camera `other`.
+    """
     ends = np.asarray(lines.ends_px)[view, segment]
     across = np.asarray(lines.across_px2)[view, segment]
     centre = np.asarray(lines.centre_mm)
@@ -268,16 +279,24 @@ def flag_viewpoint_dependent(
     misfit: Float[np.ndarray, "t"],
     tuning: TrackTuning = DEFAULT.tracks,
 ) -> Bool[np.ndarray, "t"]:
-    """Mask of the tracks whose views disagree about the position by more than noise allows, (t,).
+    """Return the mask of the tracks that probably show no line in space, (t,).
 
-    For tracks in two views: a third view shows an unmatched segment beside the predicted position.
-    If most misfits are too large for the stated covariances, they are scaled first.
+    In three or more views, the misfit of such a track is larger than noise explains. For tracks in
+    two views, a third view has an unmatched segment that is parallel and close to the predicted
+    segment. If most misfits are too large for the stated errors, all misfits are scaled first.
 
     Parameters
     ----------
-    index : (t, v) segments of the tracks.
-    ends_mm : (t, 2, 3) ends of their lines, world frame.
-    misfit : (t,) chi-square of the views, with 2 (n - 2) degrees of freedom for n views.
+    inputs : MatchInput
+        Input of the matcher.
+    index : (t, v)
+        Segments of the tracks.
+    ends_mm : (t, 2, 3)
+        Ends of the lines, world frame.
+    misfit : (t,)
+        Chi-square of each fit, with 2 (n - 2) degrees of freedom for n views.
+    tuning : TrackTuning
+        Tuned constants.
     """
     views = (index >= 0).sum(axis=1)
     in_three, frame = views > 2, look_up_frames(inputs.lines, index)
@@ -316,9 +335,10 @@ def typical_misfit(
     tuning: TrackTuning = DEFAULT.tracks,
     frame: Int[np.ndarray, "t"] | None = None,
 ) -> Float[np.ndarray, "*f"] | float:
-    """Factor by which the variance of most segments exceeds the stated one; at least 1.
+    """Return the actual variance of most segments over their stated variance, at least 1.
 
-    With `frame`, the frame of each track, the result is one factor per frame, (f,).
+    The estimate is the median misfit over its expected value. With `frame`, the frame of each
+    track, the result has one factor for each frame, (f,).
     """
     views = (index >= 0).sum(axis=1)
     in_three = views > 2
@@ -337,7 +357,11 @@ def _lies_beside(
     segments_px: Float[np.ndarray, "p 2 2"],
     tuning: TrackTuning,
 ) -> Bool[np.ndarray, "p"]:
-    """Mask of the segments that lie beside the expected segment of the same row, (p,)."""
+    """Return the mask of the segments that are close to the predicted segment and parallel to it,
+    (p,).
+
+    Row k of `segments_px` is compared with row k of `expected_px`.
+    """
     is_beside = np.zeros(len(expected_px), dtype=bool)
     expected_step = expected_px[:, 1] - expected_px[:, 0]
     segment_step = segments_px[:, 1] - segments_px[:, 0]

@@ -37,24 +37,29 @@ NO_TRACK = -1
 
 
 class _Proposal(NamedTuple):
-    """Proposal to add to a track a segment of another view, or all segments of the track that
-    owns it.
+    """Proposal to add a segment of another view to a track.
+
+    Attributes
+    ----------
+    chi_square : float
+        Chi-square of the segment under the prediction of the track.
+    track, view, segment : int
+        The track, and the segment to add.
     """
 
     chi_square: float
     track: int
     view: int
     segment: int
-    owner: int
 
 
 def tracks_through_views(
     inputs: MatchInput, selections: list[Selection], tuning: MatchTuning = DEFAULT
 ) -> tuple[Tracks, float]:
-    """Join the selections of all view triplets to tracks.
+    """Build tracks from the selected triples of all triplets of views.
 
-    Returns (tracks, noise factor), as `consolidate_tracks`. Without a fourth view nothing
-    changes.
+    Returns (tracks, noise factor), as `consolidate_tracks` does. With a single triplet, the triples
+    are the tracks.
     """
     if not selections:
         no_tracks = no_candidates(len(inputs.ends_px), inputs.lines.frame is not None)
@@ -68,12 +73,12 @@ def tracks_through_views(
 def consolidate_tracks(
     inputs: MatchInput, tracks: Tracks, tuning: MatchTuning = DEFAULT
 ) -> tuple[Tracks, float]:
-    """Make every track consistent and extend it to all views that agree.
+    """Remove inconsistent segments from tracks, and extend the tracks to further views.
 
-    Returns (tracks, noise factor). The factor is the standard deviation of the errors over that
-    in `inputs`. It is estimated from the tracks, since many views show the error of each camera.
-    Errors count as equal in the first pass. The second pass uses their inequality
-    (`tail_of_tracks`) and adds the segments that it allows.
+    Returns (tracks, noise factor). The noise factor is the actual standard deviation of the errors
+    over the stated one. It is estimated from the tracks, because many views show the errors of each
+    camera. The first pass assumes equal errors of all tracks. The second pass allows for unequal
+    errors (`tail_of_tracks`) and adds further segments.
     """
     fitted = fit_tracks(inputs, tracks.candidates.index, tracks.candidates.ends_mm)
     noise_factor = float(np.sqrt(typical_misfit(fitted.index, fitted.misfit, tuning.tracks)))
@@ -90,7 +95,10 @@ def consolidate_tracks(
 def tail_of_tracks(
     index: Int[np.ndarray, "t v"], misfit: Float[np.ndarray, "t"], tuning: MatchTuning
 ) -> float:
-    """Tail of the tracks' errors (`fit_tail`), limited because wrong tracks make it larger."""
+    """Estimate the tail of the tracks' error distribution (`fit_tail`), up to a maximum.
+
+    The maximum is needed because wrong tracks make the estimate larger.
+    """
     noise_tail = fit_tail(misfit, degrees_of_misfit(index), has_images=False)
     return min(noise_tail, tuning.tracks.max_tail)
 
@@ -98,9 +106,11 @@ def tail_of_tracks(
 def _grow(
     inputs: MatchInput, fitted: FittedTracks, noise_tail: float, tuning: MatchTuning
 ) -> FittedTracks:
-    """Add to each track the segments that it predicts in the views that it lacks.
+    """Add to each track the segments near its predicted line, in views without a segment of the
+    track.
 
-    Tracks that were joined to another track have no view in the result.
+    If a segment belongs to another track, the two tracks are joined. A track that was joined to
+    another one has no segments in the result.
     """
     significance = chi_square_tail(tuning.candidates.gate, 2)
     gate = float(misfit_limit(significance, np.array(2), noise_tail))
@@ -139,7 +149,19 @@ def _grow(
 
 
 class _Trial(NamedTuple):
-    """Candidate for an extended track, `joined` being the track that it absorbs, or NO_TRACK."""
+    """Extended track to be fitted and tested.
+
+    Attributes
+    ----------
+    track : int
+        Track that is extended.
+    joined : int
+        Track that is joined to the extended track, or NO_TRACK.
+    index : (v,)
+        Segments of the extended track.
+    common_mm : (2, 3)
+        Ends of the common part of its segments.
+    """
 
     track: int
     joined: int
@@ -154,9 +176,7 @@ def _propose_segments(
     gate: float,
     tuning: MatchTuning,
 ) -> dict[int, list[_Proposal]]:
-    """For each of the given tracks: the segments at its predicted position in the views that it
-    lacks.
-    """
+    """For each track in `rows`, list the segments near its predicted line in the other views."""
     proposals: dict[int, list[_Proposal]] = {int(row): [] for row in rows}
     for view, count in enumerate(inputs.counts):
         lacking_view = rows[fitted.index[rows, view] < 0]
@@ -164,14 +184,14 @@ def _propose_segments(
         hits = predict_segments(inputs.lines, view, count, ends_mm, covariance_mm2, gate, tuning)
         for track, segment, chi_square in zip(*(column.tolist() for column in hits), strict=True):
             row = int(lacking_view[track])
-            proposals[row].append(_Proposal(chi_square, row, view, segment, NO_TRACK))
+            proposals[row].append(_Proposal(chi_square, row, view, segment))
     return proposals
 
 
 def _tracks_of_segments(
     inputs: MatchInput, fitted: FittedTracks, is_alive: np.ndarray
 ) -> dict[tuple[int, int], list[int]]:
-    """Tracks of each segment; the key is (view, segment)."""
+    """Return the tracks of each segment. The keys are (view, segment)."""
     owners: dict[tuple[int, int], list[int]] = {}
     for track in np.flatnonzero(is_alive).tolist():
         for view, segment in enumerate(fitted.index[track].tolist()):
@@ -189,11 +209,14 @@ def _select_trials(
     rejected: set[tuple[int, ...]],
     tuning: MatchTuning,
 ) -> list[_Trial]:
-    """Trials of the best proposals, of which no two share a track or a segment."""
+    """Build trials from the proposals with the smallest chi-square.
+
+    No two trials have a common track or a common segment.
+    """
     in_use: set[tuple[int, int]] = set()
     trials = []
     # A proposal may refer to a joined track, or to a view that its track has by now.
-    for proposal in sorted(p for each in proposals.values() for p in each):
+    for proposal in sorted(p for of_track in proposals.values() for p in of_track):
         track, view, segment = proposal.track, proposal.view, proposal.segment
         if (
             (NO_TRACK, track) in in_use
@@ -201,7 +224,7 @@ def _select_trials(
             or fitted.index[track, view] >= 0
         ):
             continue
-        trial = _trial(inputs, fitted, proposal, owners.get((view, segment), []), tuning)
+        trial = _build_trial(inputs, fitted, proposal, owners.get((view, segment), []), tuning)
         if trial is None or tuple(trial.index.tolist()) in rejected:
             continue
         if trial.joined != NO_TRACK and (NO_TRACK, trial.joined) in in_use:
@@ -213,15 +236,17 @@ def _select_trials(
     return trials
 
 
-def _trial(
+def _build_trial(
     inputs: MatchInput,
     fitted: FittedTracks,
     proposal: _Proposal,
     owners: list[int],
     tuning: MatchTuning,
 ) -> _Trial | None:
-    """Extended track for a proposal; None if it conflicts with another line or shares too little
-    with it.
+    """Build the extended track of a proposal.
+
+    The result is None if the segment conflicts with another line, or if the common part becomes too
+    short.
     """
     track, view, segment = proposal.track, proposal.view, proposal.segment
     index = fitted.index[track].copy()

@@ -36,8 +36,9 @@ from trinoc.numerics.tails import chi_square_tail
 
 
 def two_view_span(extents: Float[np.ndarray, "t v 2"]) -> Float[np.ndarray, "t 2"]:
-    """Interval of each line that at least two views show, (t, 2), from the interval of each
-    view.
+    """Return the interval of each line that at least two views show, (t, 2).
+
+    `extents` are the intervals of the segments along the line, NaN for views without a segment.
     """
     # NaN (no segment in a view) sorts last.
     begin = np.sort(extents[..., 0], axis=1)[:, 1]
@@ -47,17 +48,20 @@ def two_view_span(extents: Float[np.ndarray, "t v 2"]) -> Float[np.ndarray, "t 2
 def points_on_lines(
     ends_mm: Float[np.ndarray, "t 2 3"], span: Float[np.ndarray, "t 2"]
 ) -> Float[np.ndarray, "t 2 3"]:
-    """Points at two positions on each line, (t, 2, 3); positions 0 and 1 are its ends."""
+    """Return the points at two positions on each line, (t, 2, 3) mm.
+
+    0 is the first end of the line, 1 its second end.
+    """
     return ends_mm[:, :1] + span[..., None] * (ends_mm[:, 1] - ends_mm[:, 0])[:, None]
 
 
 def line_end_positions(
     inputs: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Float[np.ndarray, "t v 2"]:
-    """Position of the ends of each line along every segment, (t, v, 2); 0 at the segment's first
-    end.
+    """Return the positions of each line's ends along every segment of its track, (t, v, 2).
 
-    A value outside [0, 1] means that the line extends beyond the segment.
+    0 is the first end of the segment, 1 its second end. Values outside [0, 1] mean that the line
+    extends beyond the segment.
     """
     interval = np.zeros((*index.shape, 2))
     for view, rows, segment, matrix in _iterate_views(inputs, index):
@@ -71,7 +75,10 @@ def line_end_positions(
 def segment_extents(
     inputs: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Float[np.ndarray, "t v 2"]:
-    """Interval of every segment along its track's line, (t, v, 2); 0 and 1 are the line's ends."""
+    """Return the interval of every segment along the line of its track, (t, v, 2).
+
+    0 is the first end of the line, 1 its second end. Views without a segment have NaN.
+    """
     extents = np.full((*index.shape, 2), np.nan)
     for view, rows, segment, matrix in _iterate_views(inputs, index):
         extents[rows, view] = np.sort(positions_abreast(matrix, segment, ends_mm[rows]), axis=1)
@@ -81,8 +88,10 @@ def segment_extents(
 def _iterate_views(
     inputs: MatchInput, index: Int[np.ndarray, "t v"]
 ) -> Iterator[tuple[int, Int[np.ndarray, "_n"], np.ndarray, np.ndarray]]:
-    """Yield for each view: view number, tracks that it shows, their segments, and their camera
-    matrices.
+    """Yield, for each view: its index, the tracks with a segment in it, segment ends, matrices.
+
+    The ends are (n, 2, 2), undistorted pixels. The projection matrices are (n, 3, 4), or one for
+    all tracks of a single frame.
     """
     frame = look_up_frames(inputs.lines, index)
     for view, ends in enumerate(inputs.ends_px):
@@ -96,8 +105,9 @@ def positions_abreast(
     segment_px: Float[np.ndarray, "t 2 2"],
     ends_mm: Float[np.ndarray, "t 2 3"],
 ) -> Float[np.ndarray, "t 2"]:
-    """Positions on each line, 0 and 1 at its ends, whose images are nearest to a segment's ends,
-    (t, 2).
+    """Return the positions on each line whose images are nearest to the ends of a segment, (t, 2).
+
+    0 is the first end of the line, 1 its second end.
     """
     first, last = np.moveaxis(homogeneous_pixel(matrix_px, ends_mm), 1, 0)
     image_step = last - first
@@ -113,8 +123,9 @@ def positions_abreast(
 def common_part(
     inputs: MatchInput, index: Int[np.ndarray, "v"], line_mm: Float[np.ndarray, "2 3"]
 ) -> Float[np.ndarray, "2 3"] | None:
-    """Ends of the part of a line that all segments of a track show, (2, 3); None if there is no
-    such part.
+    """Return the ends of the part of a line that all segments of a track show, (2, 3) mm.
+
+    The result is None if there is no common part.
     """
     views = np.flatnonzero(index >= 0)
     segments = np.stack([inputs.ends_px[view][index[view]] for view in views])
@@ -132,15 +143,16 @@ def segment_position(
     matrix_px: Float[np.ndarray, "3 4"],
     ends_mm: Float[np.ndarray, "2 3"],
 ) -> Float[np.ndarray, "2"]:
-    """Positions of two points in space along a segment, (2,): 0 at its first end, 1 at its
-    second.
+    """Return the positions of two points in space along a segment, (2,).
+
+    0 is the first end of the segment, 1 its second end.
     """
     step = segment_px[1] - segment_px[0]
     return (project_by_matrix(matrix_px, ends_mm) - segment_px[0]) @ step / (step @ step)
 
 
 def overlap_share(first: Float[np.ndarray, "2"], second: Float[np.ndarray, "2"]) -> float:
-    """Common length of two intervals over the length of the shorter one."""
+    """Return the common length of two intervals over the length of the shorter interval."""
     low, high = max(first.min(), second.min()), min(first.max(), second.max())
     return float((high - low) / min(np.ptp(first), np.ptp(second)))
 
@@ -152,17 +164,16 @@ FREE_PX = 1e4
 def view_ends_line(
     inputs: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Bool[np.ndarray, "t v 2"]:
-    """Mask of the view whose segment ends at each end of a track's line, (t, v, 2)."""
+    """Return the mask of the view whose segment ends at each of a line's two ends, (t, v, 2)."""
     return view_bounds_span(segment_extents(inputs, index, ends_mm), np.array([0.0, 1.0]))
 
 
 def view_bounds_span(
     extents: Float[np.ndarray, "t v 2"], span: Float[np.ndarray, "*t 2"]
 ) -> Bool[np.ndarray, "t v 2"]:
-    """Mask of the view whose segment ends nearest to each end of the interval `span` of a line, (t,
-    v, 2).
+    """Return the mask of the view whose segment ends nearest to each end of `span`, (t, v, 2).
 
-    `extents` are the intervals of the segments along the lines.
+    `span` is an interval of each line. `extents` are the intervals of the segments along each line.
     """
     distance = np.abs(extents - np.expand_dims(span, -2))
     nearest = np.nanargmin(distance, axis=1) if len(extents) else np.zeros((0, 2), dtype=np.int64)
@@ -175,10 +186,11 @@ def cut_fragments(
     interval: Float[np.ndarray, "t v 2"],
     ends_here: Bool[np.ndarray, "t v 2"],
 ) -> tuple[Float[np.ndarray, "t v 2 2"], Float[np.ndarray, "t v 4 4"]]:
-    """Cut the segments of tracks at the given intervals.
+    """Cut the segments of tracks to the given intervals.
 
-    Returns the parts in undistorted pixels (t, v, 2, 2) and their covariances (t, v, 4, 4), NaN
-    without a segment.
+    Returns the fragments (t, v, 2, 2), undistorted pixels, and their covariances (t, v, 4, 4). Both
+    are NaN for views without a segment. `ends_here` marks fragment ends that are ends of their
+    segment. Other fragment ends are free along the segment.
     """
     tracks, views = index.shape
     fragments = np.full((tracks, views, 2, 2), np.nan)
@@ -198,8 +210,10 @@ def cut_fragments(
 def _part_covariance(
     covariance_px2: Float[np.ndarray, "n 4 4"], interval: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "e i f j n"]:
-    """Covariance of a segment's part. Each end of the part is a weighted mean of the segment's
-    ends.
+    """Return the covariance of the ends of a part of each segment.
+
+    Both ends of the part are weighted means of the segment's ends. The segments are the last axis
+    of the result.
     """
     # Rows are the last axis: sums of long columns are faster than many small matrix products.
     weight = np.stack([1 - interval.T, interval.T])
@@ -222,9 +236,9 @@ def _release_cut_ends(
     segment_px: Float[np.ndarray, "n 2 2"],
     ends_here: Bool[np.ndarray, "n 2"],
 ) -> Float[np.ndarray, "n 4 4"]:
-    """Add a large variance along the segment to the end points at which it is cut.
+    """Add a large variance along the segment to the ends that are cuts.
 
-    ends_here : (m, 2) True for the end points of the segment itself.
+    `ends_here` (n, 2) is True for ends of the segment itself.
     """
     along = (segment_px[:, 1] - segment_px[:, 0]).T
     along = along / np.sqrt((along**2).sum(axis=0))
@@ -237,7 +251,7 @@ def _release_cut_ends(
 def lie_before_cameras(
     lines: SegmentTable, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Bool[np.ndarray, "t"]:
-    """Mask of the tracks whose line lies before every camera that sees it, (t,)."""
+    """Return the mask of the tracks whose line is in front of every camera that shows it, (t,)."""
     matrix = take_matrices(lines, look_up_frames(lines, index))
     depth = matrix[..., 2, :3] @ ends_mm.mT + matrix[..., 2, 3:]
     return np.asarray(((depth > 0).all(axis=2) | (index < 0)).all(axis=1))
@@ -256,8 +270,8 @@ def _triangulate_tracks(
     shown: Bool[ArrayLike, "t v"],
 ) -> Segment3D:
     matrix = matrix_px if frame is None else matrix_px[frame]
-    each = jax.vmap(triangulate_segment, in_axes=(None if frame is None else 0, 0, 0, 0))
-    return each(matrix, fragments_px, covariance_px2, shown)
+    triangulate = jax.vmap(triangulate_segment, in_axes=(None if frame is None else 0, 0, 0, 0))
+    return triangulate(matrix, fragments_px, covariance_px2, shown)
 
 
 def fit_lines(
@@ -266,17 +280,24 @@ def fit_lines(
     common_mm: Float[np.ndarray, "t 2 3"],
     extents: Float[np.ndarray, "t v 2"] | None = None,
 ) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 6"], Float[np.ndarray, "t"]]:
-    """Fit the line of each track to the part that at least two views show.
+    """Fit the line in space of each track, for the part that at least two views show.
 
     Parameters
     ----------
-    common_mm : (t, 2, 3) ends of the part that all views of a track show.
-    extents : result of `segment_extents` for these ends, if available.
+    inputs : MatchInput
+        Input of the matcher.
+    index : (t, v)
+        Segments of the tracks.
+    common_mm : (t, 2, 3)
+        Ends of the part that all views of a track show.
+    extents : (t, v, 2), optional
+        Result of `segment_extents` for these ends.
 
     Returns
     -------
-    Ends (t, 2, 3), their covariance (t, 6, 6), and the chi-square of the disagreement between
-    views (t,).
+    tuple
+        Ends of the lines (t, 2, 3), their covariance (t, 6, 6), and the chi-square of each fit
+        (t,).
     """
     extents = segment_extents(inputs, index, common_mm) if extents is None else extents
     span = two_view_span(extents)
@@ -300,7 +321,7 @@ def fit_lines(
     frames = () if frame is None else (frame,)
     fitted = in_blocks(triangulate, block, *observed, index >= 0, *frames)
     misfit = np.where((index >= 0).sum(axis=1) > 2, fitted.chi_square, 0.0)
-    ends_mm, covariance_mm2 = (np.array(each) for each in (fitted.ends_mm, fitted.covariance_mm2))
+    ends_mm, covariance_mm2 = (np.array(field) for field in (fitted.ends_mm, fitted.covariance_mm2))
     common_error = common_error_covariance(inputs, index)
     affected = np.flatnonzero((common_error != 0).any(axis=(1, 2, 3)))
     if len(affected):
@@ -313,11 +334,10 @@ def fit_lines(
 def common_error_covariance(
     inputs: MatchInput, index: Int[np.ndarray, "t v"]
 ) -> Float[np.ndarray, "t v 4 4"]:
-    """Covariance to add to the fragments of a track for errors that are common to its n views, (t,
-    v, 4, 4).
+    """Return the covariance to add to each fragment for errors common to all views, (t, v, 4, 4).
 
-    A fit to independent views averages an error. A common error stays as large as in one view if
-    each view has n times its variance. Misfits do not show it.
+    A fit to n independent views divides the variance by n. A common error is not reduced by more
+    views. Its variance is therefore multiplied by n in each view.
     """
     common_error = np.zeros((*index.shape, 4, 4))
     views = (index >= 0).sum(axis=1)
@@ -332,7 +352,19 @@ def common_error_covariance(
 
 
 class FittedTracks(NamedTuple):
-    """Tracks with their lines: segments of each view, common part, ends, covariance and misfit."""
+    """Tracks with their fitted lines.
+
+    Attributes
+    ----------
+    index : (t, v)
+        Segment of each view, -1 if it has none.
+    common_mm : (t, 2, 3)
+        Ends of the part of the line that all views show.
+    ends_mm, covariance_mm2 : (t, 2, 3) and (t, 6, 6)
+        Ends of the line, world frame, and their covariance.
+    misfit : (t,)
+        Chi-square of the fit; 0 for two views.
+    """
 
     index: Int[np.ndarray, "t v"]
     common_mm: Float[np.ndarray, "t 2 3"]
@@ -344,7 +376,7 @@ class FittedTracks(NamedTuple):
 def fit_tracks(
     inputs: MatchInput, index: Int[np.ndarray, "t v"], common_mm: Float[np.ndarray, "t 2 3"]
 ) -> FittedTracks:
-    """Fit the lines of tracks, given their segments and common parts."""
+    """Fit the lines of tracks to their segments. `common_mm` are the ends of the common parts."""
     return FittedTracks(index, common_mm, *fit_lines(inputs, index, common_mm))
 
 
@@ -354,10 +386,10 @@ def are_consistent(
     tuning: MatchTuning = DEFAULT,
     noise_tail: float = 0.0,
 ) -> Bool[np.ndarray, "t"]:
-    """Mask of the tracks whose segments can be of one line, (t,).
+    """Return the mask of the tracks whose segments can be images of one line, (t,).
 
-    The misfit must be likely under errors with tail `noise_tail`, and no segment may be far from
-    the line in pixels.
+    The misfit must be probable for errors with the tail `noise_tail`. Every segment must also be
+    close to the line, see `are_near`.
     """
     degrees = 2 * ((tracks.index >= 0).sum(axis=1) - 2)
     significance = chi_square_tail(tuning.candidates.gate, 2)
@@ -373,10 +405,10 @@ def are_consistent(
 def are_near(
     inputs: MatchInput, tracks: FittedTracks, tuning: TrackTuning = DEFAULT.tracks
 ) -> Bool[np.ndarray, "t"]:
-    """Mask of the tracks of which every segment is near the line, in px or in standard deviations,
-    (t,).
+    """Return the mask of the tracks with all segments near the line, (t,).
 
-    Errors with a heavy tail alone would admit any segment.
+    The limit is a number of pixels or of standard deviations, whichever is larger. The limit is
+    needed because a heavy-tailed error distribution alone would accept any segment.
     """
     is_near = np.ones(len(tracks.index), dtype=bool)
     for view, rows, segment, matrix in _iterate_views(inputs, tracks.index):
@@ -394,8 +426,9 @@ def are_near(
 def split_off_misfits(
     inputs: MatchInput, tracks: FittedTracks, tuning: MatchTuning = DEFAULT
 ) -> FittedTracks:
-    """Make tracks consistent by removing the worst views; tracks that stay inconsistent with
-    three views become empty.
+    """Remove the worst views of inconsistent tracks until the tracks are consistent.
+
+    Tracks that are inconsistent in only three views lose all segments.
     """
     index = tracks.index.copy()
     fitted = tracks

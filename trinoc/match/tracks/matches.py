@@ -62,7 +62,7 @@ def _are_probabilities_where_observed(posterior: np.ndarray, table: Content) -> 
 
 
 def _are_marks(marks: Mapping[str, np.ndarray], table: Content) -> bool:
-    """Test that marks are booleans, probabilities or strings, per track or per track and view."""
+    """True if all marks are booleans, probabilities or strings, with shape (t,) or (t, v)."""
     is_observed = _is_observed(table)
     for mark in marks.values():
         if (
@@ -78,11 +78,11 @@ def _are_marks(marks: Mapping[str, np.ndarray], table: Content) -> bool:
 
 
 class MatchStatus(enum.Enum):
-    """Verdict on the matches; the value is the sentence for people.
+    """Overall result of the checks on matches; the value is a sentence for users.
 
-    SUSPECT: segments and rig do not seem to belong together. UNCERTAIN: too few lines are sure,
-    the errors are far above the stated ones, or the errors are large relative to the scene.
-    `assess_matches` gives the reason and the remedy.
+    UNCERTAIN: too few lines are sure, the errors are far above the stated ones, or the errors are
+    large relative to the scene. SUSPECT: segments and rig do not seem to belong together.
+    `assess_matches` returns the reason and the remedy.
     """
 
     MATCHED = "You can use these matches."
@@ -91,48 +91,64 @@ class MatchStatus(enum.Enum):
 
 
 class Matches(Displayable, Table):
-    """Tracks: each joins the segments of all views that show one line, and holds the 3-D segment.
+    """Tracks with their lines in space. A track joins the segments of all views that show one line.
 
-    Fields
-    ------
-    views : names of the views, in the order of axis v.
-    index : (t, v) segment of each view on each track, -1 if the view has none. One segment may be
-        on several tracks, with different fragments.
-    fragments_px : (t, v, 2, 2) common parts, corresponding end to corresponding end, in pixels of
-        the image. NaN if the view has none.
-    lines_mm : (t, 2, 3) ends in the world frame, of the part that at least two views show. The
-        direction is that of the fragments.
-    covariance_mm2 : (t, 6, 6) covariance of the two ends.
-    stage : (t,) "trinocular" (three or more views) or "binocular" (two views).
-    posterior : (t,) probability that the match is right.
-    rival_posterior : (t,) posterior of the best candidate that this one excluded, 0 if none.
-    reasons : for each view, (n,) the reason why a segment is on no track. "matched" if it is on
-        one, "matched within a pattern" if a partner one period off fits as well.
-    counts : numbers that each step of the matching produced and rejected, by name.
-    fragments_covariance_px2 : (t, v, 4, 4) covariance of the fragments' ends, NaN if the view has
-        none. None if not available.
-    misfit : (t,) chi-square of the disagreement between the views, with 2 (n - 2) degrees of
-        freedom for n views. 0 for two views. None if not available.
-    viewpoint_dependent : (t,) flag of tracks that probably show something that depends on the
-        viewpoint: the outline of a round body, or a highlight. In three views, their misfit exceeds
-        that of 99 in 100 straight edges. In two views, a third view shows a segment beside the
-        predicted position, and none on it. None if not available.
-    member_posterior : (t, v) probability that each segment belongs to the line of the track's other
-        segments, NaN if the view has none. For tracks in two or three views it is the track's
-        posterior. None if not available.
-    rig_covariance_mm2 : (t, 6, 6) covariance that errors of the rig's parameters add to
-        `covariance_mm2` (`with_rig_covariance`). These errors are common to all tracks: they move
-        and turn the scene as a whole. None if not available.
-    marks : results of later steps, (t,) or (t, v), by name: booleans, probabilities or strings.
-        False, 0 or "" if a view shows no line. Names in use: "measure" (`measure_lines`),
-        "silhouette" (`find_rims`).
-    noise_scale : standard deviation of the segments across themselves over the stated one,
-        estimated from three views. All covariances here include it. 1 for two views.
-    noise_tail : inequality of the tracks' errors, estimated from three views. It is one over the
-        degrees of freedom of a Student distribution, 0 for normal errors. The 95 % ellipsoids of
-        `covariance_mm2` hold in 95 % of cases; `ellipsoid_limit` gives other probabilities.
-    notes : warnings about the whole set, such as noise far from the stated one, or cameras on
-        one line.
+    Attributes
+    ----------
+    views : tuple of str
+        Names of the views, in the sequence of axis v.
+    index : (t, v)
+        Segment of each view on each track, -1 if the view has none. One segment may be on several
+        tracks, with different fragments.
+    fragments_px : (t, v, 2, 2)
+        Fragment of each segment, in pixels of the image: first ends correspond, and so do second
+        ends. NaN if the view has none.
+    lines_mm : (t, 2, 3)
+        Ends of the line in space, world frame, for the part that at least two views show. The first
+        end corresponds to the first ends of the fragments.
+    covariance_mm2 : (t, 6, 6)
+        Covariance of both ends.
+    stage : (t,)
+        "trinocular" for three or more views, "binocular" for two views.
+    posterior : (t,)
+        Probability that the match is right.
+    rival_posterior : (t,)
+        Posterior of the best rival, 0 if there is none.
+    reasons : dict of arrays
+        For each view, the reason why each segment is on no track. "matched" for segments on a
+        track. "matched within a pattern" if a match one period off is as good.
+    counts : dict of int
+        Numbers of candidates and tracks that each step produced and rejected, by name.
+    fragments_covariance_px2 : (t, v, 4, 4) or None
+        Covariance of the fragments' ends, NaN if the view has none. None if not available.
+    misfit : (t,) or None
+        Chi-square of the residuals of all views, with 2 (n - 2) degrees of freedom for n views; 0
+        for two views. None if not available.
+    viewpoint_dependent : (t,) or None
+        True for tracks that probably show no line in space, but the outline of a round body or a
+        highlight. For tracks in three views, the misfit exceeds that of 99 in 100 straight edges.
+        For tracks in two views, a third view shows a segment near the predicted position, but none
+        at this position. None if not available.
+    member_posterior : (t, v) or None
+        Probability that each segment belongs to the line of the track's other segments; NaN if the
+        view has none. For tracks in two or three views, this is the track's posterior. None if not
+        available.
+    rig_covariance_mm2 : (t, 6, 6) or None
+        Covariance that errors of the rig add to `covariance_mm2` (`with_rig_covariance`). These
+        errors displace and turn the scene as a whole. None if not available.
+    marks : dict of arrays
+        Results of later steps by name, (t,) or (t, v): booleans, probabilities or strings. False, 0
+        or "" if a view shows no line. Names in use: "measure" (`measure_lines`), "silhouette"
+        (`find_rims`).
+    noise_scale : float
+        Standard deviation of the errors across the segments, estimated from three views, over the
+        stated one. All covariances here include this factor. 1 for two views.
+    noise_tail : float
+        Inequality of the tracks' errors, estimated from three views: 1 / degrees of freedom of a
+        Student distribution, 0 for normal errors. The covariances are scaled so that 95 %
+        ellipsoids contain 95 % of the lines. Use `ellipsoid_limit` for other probabilities.
+    notes : tuple of str
+        Warnings about the whole set, for example about unexpected noise or collinear cameras.
     """
 
     KIND: ClassVar[str] = "matches"
@@ -247,17 +263,17 @@ class Matches(Displayable, Table):
 
     @property
     def status(self) -> MatchStatus:
-        """Verdict on the matches. For SUSPECT ones, the first note gives the reason."""
+        """Overall result of the checks. With the status SUSPECT, the first note is the reason."""
         from trinoc.match.tracks.reliability import assess_matches
 
         return assess_matches(self).status
 
     @property
     def share_in_three_views(self) -> float:
-        """Share of the segments on sure tracks of three or more views, in the view with the
-        smallest share.
+        """Share of the segments that are on sure tracks of three or more views, smallest of all
+        views.
 
-        A camera that was moved has a small share.
+        A small share in one view may mean that its camera was moved.
         """
         is_sure = (self.posterior > DecoyTuning.sure_posterior) & (self.stage == TRINOCULAR)
         return min(
@@ -267,7 +283,7 @@ class Matches(Displayable, Table):
 
     @property
     def length_mm(self) -> Float[np.ndarray, "t"]:
-        """Length of each segment in space, (t,) mm."""
+        """Length of each line in space, (t,) mm."""
         return line_sigmas(self.lines_mm, self.covariance_mm2).length_mm
 
     @property
@@ -277,28 +293,39 @@ class Matches(Displayable, Table):
 
     @property
     def across_sigma_mm(self) -> Float[np.ndarray, "t"]:
-        """Standard deviation of each midpoint in the worst direction across the segment, (t,)
+        """Standard deviation of each line's midpoint, in the worst direction across the line, (t,)
         mm.
         """
         return line_sigmas(self.lines_mm, self.covariance_mm2).across_sigma_mm
 
     def ellipsoid_limit(self, probability: float) -> Float[np.ndarray, "t"]:
-        """Squared Mahalanobis distance within which a line lies with the given probability, (t,).
+        """Squared Mahalanobis distance that contains a line with the given probability, (t,).
 
-        The distance is that of both ends from the true line, across it, under `covariance_mm2`. It
-        has four degrees of freedom. At 0.95 the limit is that of a normal distribution. Unequal
-        errors (`noise_tail`) lower it at smaller probabilities and raise it at larger ones.
+        The distance is that of both ends from the true line, perpendicular to the line, under
+        `covariance_mm2`, with four degrees of freedom.
+
+        Parameters
+        ----------
+        probability : float
+            Probability, between 0 and 1.
+
+        Returns
+        -------
+        (t,)
+            Limit of each track. At 0.95, the limit is that of a normal distribution. With unequal
+            errors (`noise_tail`), the limit is smaller below 0.95 and larger above.
 
         Raises
         ------
-        InputError : the probability is not between 0 and 1.
+        InputError
+            If the probability is not between 0 and 1.
         """
         if not 0 < probability < 1:
             raise InputError(f"probability is {probability}: give one between 0 and 1.")
         return ellipsoid_limit(probability, degrees_of_misfit(self.index), self.noise_tail)
 
     def wires(self) -> Wires:
-        """Each 3-D segment as a line with two vertices."""
+        """Return the lines in space for drawing, each with two vertices."""
         pairs = np.arange(2 * len(self)).reshape(-1, 2)
         return Wires(self.lines_mm.reshape(-1, 3), pairs, np.arange(len(self)))
 
@@ -307,11 +334,12 @@ class Matches(Displayable, Table):
         return replace(self, marks=self.marks | marks)
 
     def line_observations(self) -> LineObservations:
-        """Tracks as observations of lines, the input of joint refinement.
+        """Return the tracks as observations of lines, the input of a joint refinement.
 
         Raises
         ------
-        InputError : the matches hold no covariance of their fragments.
+        InputError
+            If the matches have no covariance of their fragments.
         """
         if self.fragments_covariance_px2 is None:
             raise InputError(

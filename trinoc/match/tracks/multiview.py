@@ -21,8 +21,9 @@ from trinoc.match.tuning.tracks import TrackTuning
 def view_triplets(
     lines: SegmentTable, tuning: TrackTuning = DEFAULT.tracks
 ) -> list[tuple[int, int, int]]:
-    """View triplets to match: all of them for few views, else each view with two of its nearest
-    views.
+    """Return the triplets of views to match.
+
+    Few views: all triplets. Many views: each view with any two of its nearest views.
     """
     views = lines.size_px.shape[-2]
     if views <= tuning.max_views_all_triplets:
@@ -39,8 +40,9 @@ def view_triplets(
 
 
 def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DEFAULT) -> Tracks:
-    """Merge triples of several view triplets to tracks through all views, the most likely triple
-    first.
+    """Merge the triples of several triplets of views to tracks through all views.
+
+    The most likely triples are merged first.
     """
     order = np.lexsort((*tracks.candidates.index.T, -tracks.posterior_log_odds))
     index = tracks.candidates.index.copy()
@@ -49,7 +51,7 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
     matrix, segment_ends = np.asarray(lines.matrix_px), np.asarray(lines.ends_px)
     conflict, smallest_share = tuning.selection.conflict_overlap, tuning.tracks.min_shared_part
     on_segment: dict[tuple[int, int], list[int]] = {}
-    kept_rows, links = [], []
+    selected_rows, links = [], []
     for row in order.tolist():
         views = np.flatnonzero(index[row] >= 0)
         rivals = [
@@ -59,7 +61,7 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
             if overlap_share(interval[track, view], interval[row, view]) > conflict
         ]
         if not rivals:
-            kept_rows.append(row)
+            selected_rows.append(row)
             for view in views:
                 on_segment.setdefault((int(view), int(index[row, view])), []).append(row)
             continue
@@ -81,12 +83,14 @@ def merge_triplets(lines: SegmentTable, tracks: Tracks, tuning: MatchTuning = DE
             if overlap_share(position, np.array([0.0, 1.0])) < smallest_share:
                 continue
             index[track, view], interval[track, view] = index[row, view], position
-            _cut(index, interval, ends, track, matrix, segment_ends)
+            _shorten_to_common_part(index, interval, ends, track, matrix, segment_ends)
             on_segment.setdefault((int(view), int(index[row, view])), []).append(track)
     merged_rows = _link_tracks(links, index, interval, ends, matrix, segment_ends, smallest_share)
-    kept_rows = np.array([row for row in kept_rows if row not in merged_rows], dtype=np.int64)
+    selected_rows = np.array(
+        [row for row in selected_rows if row not in merged_rows], dtype=np.int64
+    )
     candidates = tracks.candidates._replace(index=index, interval=interval, ends_mm=ends)
-    return tracks._replace(candidates=candidates).take(kept_rows)
+    return tracks._replace(candidates=candidates).take(selected_rows)
 
 
 def _link_tracks(
@@ -98,11 +102,11 @@ def _link_tracks(
     segment_ends_px: Float[np.ndarray, "v n 2 2"],
     least_shared: float,
 ) -> set[int]:
-    """Merge tracks of different views that links tie in both directions; returns the absorbed
-    tracks.
+    """Merge pairs of tracks without a common view that are linked in both directions.
 
-    A link (a, b) is a triple with two segments of track a and one of track b. Links (a, b) and
-    (b, a) together show that the segments of both tracks are of one line.
+    A link (a, b) is a triple with two segments of track a and one segment of track b. Links (a, b)
+    and (b, a) together are evidence that both tracks show one line. The arrays are changed in
+    place. Returns the tracks that were merged into another track.
     """
     merged: set[int] = set()
     merged_into: dict[int, int] = {}
@@ -126,13 +130,13 @@ def _link_tracks(
         ):
             continue
         index[a, views], interval[a, views] = index[b, views], positions
-        _cut(index, interval, ends_mm, a, matrix_px, segment_ends_px)
+        _shorten_to_common_part(index, interval, ends_mm, a, matrix_px, segment_ends_px)
         merged_into[b] = a
         merged.add(b)
     return merged
 
 
-def _cut(
+def _shorten_to_common_part(
     index: Int[np.ndarray, "m v"],
     interval: Float[np.ndarray, "m v 2"],
     ends_mm: Float[np.ndarray, "m 2 3"],
@@ -140,7 +144,7 @@ def _cut(
     matrix_px: Float[np.ndarray, "v 3 4"],
     segment_ends_px: Float[np.ndarray, "v n 2 2"],
 ) -> None:
-    """Cut a track's line, in place, to the part that all of its segments show."""
+    """Shorten the line of a track to the part that all of its segments show, in place."""
     views = np.flatnonzero(index[track] >= 0)
     begin, end = 0.0, 1.0
     for view in views:

@@ -14,7 +14,15 @@ ROWS_AT_A_TIME = 256
 
 
 class PredictedSegments(NamedTuple):
-    """Segments that pass the gate of a prediction: track, segment and chi-square of each hit."""
+    """Segments of one view that agree with the predicted line of a track; one row for each hit.
+
+    Attributes
+    ----------
+    track, segment : (h,)
+        Indices of the track and of the segment.
+    chi_square : (h,)
+        Chi-square of their difference, with two degrees of freedom.
+    """
 
     track: Int[np.ndarray, "h"]
     segment: Int[np.ndarray, "h"]
@@ -30,17 +38,22 @@ def predict_segments(
     gate: float,
     tuning: MatchTuning,
 ) -> PredictedSegments:
-    """Segments of one view that overlap the image of a track's line and fit it.
+    """Find the segments of one view that overlap and agree with the image of a track's line.
 
-    The chi-square has 2 degrees of freedom, includes the covariances of line and segment, and is
-    below `gate`.
+    A segment agrees if its chi-square is below `gate`, given the covariances of line and segment.
 
     Parameters
     ----------
-    lines : tables of all views.
-    view, count : the view, and its number of segments.
-    ends_mm, covariance_mm2 : (t, 2, 3) and (t, 6, 6), lines of the tracks, world frame.
-    gate : upper limit of chi-square.
+    lines : SegmentTable
+        Segments of all views.
+    view, count : int
+        Index of the view, and its number of segments.
+    ends_mm, covariance_mm2 : (t, 2, 3) and (t, 6, 6)
+        Lines of the tracks, world frame.
+    gate : float
+        Upper limit of chi-square.
+    tuning : MatchTuning
+        Tuned constants.
     """
     ends = np.asarray(lines.ends_px)[view, :count]
     across = np.asarray(lines.across_px2)[view, :count]
@@ -74,7 +87,7 @@ def _across_image(
     by_point: Float[np.ndarray, "t 2 2 3"],
     covariance_mm2: Float[np.ndarray, "t 6 6"],
 ) -> Float[np.ndarray, "t 2 2"]:
-    """Covariance of the two ends of a line's image, across the image, (t, 2, 2) px^2."""
+    """Return the covariance of both ends of a line's image, perpendicular to it, (t, 2, 2) px^2."""
     step = image_px[:, 1] - image_px[:, 0]
     normal = np.stack([-step[:, 1], step[:, 0]], axis=1) / np.linalg.norm(step, axis=1)[:, None]
     by_end = np.einsum("ti,teij->tej", normal, by_point)

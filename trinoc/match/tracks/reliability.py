@@ -1,8 +1,9 @@
-"""Verdict on a set of matches: one answer for status, text, records, reports and exit codes.
+"""Checks of a set of matches. Status, text, records, reports and exit codes use the same result.
 
-Two things decide. The first is evidence that segments and rig do not belong together. The second
-is the uncertainty of the lines relative to the extent of the scene. The share of matched
-segments does not decide: in a cluttered scene it is small although the lines are right.
+Two properties determine the status. The first is evidence that segments and rig do not belong
+together. The second is the uncertainty of the lines relative to the extent of the scene. The share
+of matched segments has no influence: in a cluttered scene the share is small although the lines are
+right.
 """
 
 from collections.abc import Mapping
@@ -23,9 +24,20 @@ Topic = Literal["rig", "set", "count", "agreement", "uncertainty"]
 
 
 class MatchFinding(NamedTuple):
-    """Result of one test of a set of matches: its status, figure, explanation and remedy.
+    """Result of one check of a set of matches.
 
-    `remedy` is empty if the status is MATCHED.
+    Attributes
+    ----------
+    topic : str
+        Subject of the check.
+    status : MatchStatus
+        Status that the check alone would give.
+    figure : str
+        Main number of the check, as text.
+    explanation : str
+        Meaning of the number.
+    remedy : str
+        Advice to the user; empty if the status is MATCHED.
     """
 
     topic: Topic
@@ -41,10 +53,16 @@ class MatchFinding(NamedTuple):
 
 
 class MatchAssessment(NamedTuple):
-    """Verdict on the matches: the status of the worst finding.
+    """Overall result of all checks of a set of matches.
 
-    `deciding` is the first of the worst findings, or the last finding if all are good.
-    `findings` holds all of them.
+    Attributes
+    ----------
+    status : MatchStatus
+        The worst status of all findings.
+    deciding : MatchFinding
+        First finding with this status; the last finding if all are MATCHED.
+    findings : tuple of MatchFinding
+        Results of all checks.
     """
 
     status: MatchStatus
@@ -53,18 +71,25 @@ class MatchAssessment(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """Verdict, deciding figure and remedy as text."""
+        """Status, reason and remedy as text."""
         parts = (self.status.value, self.deciding.reason, self.deciding.remedy)
         return " ".join(part for part in parts if part)
 
 
 def assess_matches(matches: Matches, doubts: Mapping[str, str] | None = None) -> MatchAssessment:
-    """Assess whether matches can be used.
+    """Check whether matches can be used, and return the status with the reason.
 
     Parameters
     ----------
-    matches : the matches.
-    doubts : for each camera with a suspect calibration, the reason.
+    matches : Matches
+        The matches.
+    doubts : mapping, optional
+        For each camera with a SUSPECT calibration, the reason.
+
+    Returns
+    -------
+    MatchAssessment
+        Overall status and all findings.
     """
     is_chosen = _sure_lines(matches)
     findings = [
@@ -82,14 +107,20 @@ def assess_matches(matches: Matches, doubts: Mapping[str, str] | None = None) ->
 
 
 def scene_extent_mm(lines_mm: Float[np.ndarray, "t 2 3"]) -> float:
-    """Diameter of the ball about the median end that contains nine tenths of the ends, mm."""
+    """Return the extent of a scene: diameter of a ball with nine tenths of the line ends, mm.
+
+    The centre of the ball is the median end.
+    """
     ends = lines_mm.reshape(-1, 3)
     distance = np.linalg.norm(ends - np.median(ends, axis=0), axis=1)
     return 2 * float(np.quantile(distance, SHARE_OF_ENDS))
 
 
 def depth_range_remedy(matches: Matches) -> str | None:
-    """Advice to check the depth range, if it excludes more segments than are matched; else None."""
+    """Return the advice to check the depth range, or None.
+
+    The advice is returned if the depth range excludes more segments than are matched.
+    """
     reasons = np.concatenate(
         [np.asarray(view_reasons, dtype=str) for view_reasons in matches.reasons.values()]
     )
@@ -100,8 +131,8 @@ def depth_range_remedy(matches: Matches) -> str | None:
 
 
 def _sure_lines(matches: Matches) -> Bool[np.ndarray, "t"]:
-    """Mask of the sure tracks in three or more views, or of all sure tracks if there are two
-    views.
+    """Return the mask of the sure tracks in three or more views; with two views, of all sure
+    tracks.
     """
     is_sure = np.asarray(matches.posterior) > DecoyTuning.sure_posterior
     return (
@@ -126,7 +157,10 @@ def _rig_findings(doubts: Mapping[str, str]) -> list[MatchFinding]:
 
 
 def _set_findings(matches: Matches) -> list[MatchFinding]:
-    """Finding of `check_set`. Its note names the remedy if the cause is known."""
+    """Return the finding that segments and rig do not belong together, or an empty list.
+
+    The explanation is the note of `check_set`, which contains the remedy if the cause is known.
+    """
     if not matches.counts.get(SUSPECT_SETS):
         return []
     explanation = matches.notes[0] if matches.notes else sentences.DO_NOT_BELONG
@@ -194,5 +228,5 @@ def _uncertainty_findings(matches: Matches, is_chosen: Bool[np.ndarray, "t"]) ->
 
 
 def _format_length(value_mm: float) -> str:
-    """Length in mm: whole millimetres from 10 mm on, else two digits."""
+    """Format a length in mm: no decimals from 10 mm on, two significant digits below."""
     return f"{value_mm:,.0f} mm" if value_mm >= 10 else f"{value_mm:.2g} mm"

@@ -35,15 +35,18 @@ def fit_tail(
     has_images: bool,
     tuning: NoiseTuning = DEFAULT.noise,
 ) -> float:
-    """Tail of the error distribution: one over its degrees of freedom, 0 for normal errors.
+    """Estimate the tail of the tracks' error distribution: 1 / degrees of freedom, 0 if normal.
 
     Parameters
     ----------
-    misfit : (t,) chi-square of the disagreement between the views of each track, for errors of
-        usual size.
-    degrees : (t,) degrees of freedom of the misfit, at least 1.
-    has_images : True if a detector found the segments in images. The prior then expects unequal
-        errors.
+    misfit : (t,)
+        Chi-square of the residuals of each track, for errors of the stated size.
+    degrees : (t,)
+        Degrees of freedom of each misfit, at least 1.
+    has_images : bool
+        True if the segments were detected in images. The prior then expects more unequal errors.
+    tuning : NoiseTuning
+        Tuned constants.
     """
     single_frame = np.zeros(len(misfit), dtype=np.int64)
     return float(fit_tails(misfit, degrees, single_frame, np.array([has_images]), tuning)[0])
@@ -56,7 +59,7 @@ def fit_tails(
     has_images: Bool[np.ndarray, "f"],
     tuning: NoiseTuning = DEFAULT.noise,
 ) -> Float[np.ndarray, "f"]:
-    """Tail of the error distribution for the tracks of each frame, as `fit_tail`, (f,)."""
+    """Estimate the tail of the tracks' error distribution for each frame, (f,). See `fit_tail`."""
     prior = np.where(has_images[:, None], tuning.tail_of_images, tuning.tail_otherwise)
     shape, mean = prior[:, :1], prior[:, 1:]
     tail = np.geomspace(_SMALLEST_TAIL, _LARGEST_TAIL, _TAILS)
@@ -79,15 +82,16 @@ def fit_tails(
 
 
 def degrees_of_misfit(index: Int[np.ndarray, "t v"]) -> Int[np.ndarray, "t"]:
-    """Degrees of freedom of each track's misfit: two for each view beyond the second, (t,)."""
+    """Return the degrees of freedom of each misfit: 2 for each view beyond the second, (t,)."""
     return 2 * np.maximum((index >= 0).sum(axis=1) - 2, 0)
 
 
 def misfit_limit(
     probability: float, degrees: Int[np.ndarray, "*t"], tail: float
 ) -> Float[np.ndarray, "*t"]:
-    """Value that the misfit exceeds with the given probability; the chi-square limit for equal
-    errors.
+    """Return the value that a misfit exceeds with the given probability.
+
+    For tail 0, this is the chi-square limit.
     """
     if tail < _SMALLEST_TAIL:
         return np.asarray(chi_square_limit(probability, degrees))
@@ -97,7 +101,10 @@ def misfit_limit(
 def student_log_density(
     misfit: Float[np.ndarray, "*t"], noise_tail: float
 ) -> Float[np.ndarray, "*t"]:
-    """Log density of a misfit with two degrees of freedom, for errors with tail `noise_tail`."""
+    """Log density of a misfit with two degrees of freedom, for Student-distributed errors.
+
+    `noise_tail` is 1 / degrees of freedom of the Student distribution, 0 for normal errors.
+    """
     tail = max(noise_tail, _SMALLEST_TAIL)
     return -np.log(2) - (1 / (2 * tail) + 1) * np.log1p(misfit * tail)
 
@@ -107,11 +114,12 @@ def variance_factor(
     degrees: Int[np.ndarray, "t"],
     tail: Float[np.ndarray, "t"] | float,
 ) -> Float[np.ndarray, "t"]:
-    """Factor for the variance of a line across itself that makes its 95 % ellipsoid valid, (t,).
+    """Return the factor for the variance across each line that makes its 95 % ellipsoid valid,
+    (t,).
 
-    `degrees` is 0 for two views. The posterior of the factor is an inverse gamma distribution.
-    At 95 % the resulting Student distribution is wider than its scale, which the factor
-    includes.
+    `degrees` is 0 for two views. Given its misfit, the variance of a track has an inverse gamma
+    distribution, and its error has a Student distribution. The factor is the squared 95 % limit of
+    that distribution over that of the stated normal distribution.
     """
     prior_freedom = 1 / np.maximum(tail, _SMALLEST_TAIL)
     freedom = prior_freedom + degrees
@@ -125,9 +133,10 @@ def variance_factor(
 def ellipsoid_limit(
     probability: float, degrees: Int[np.ndarray, "t"], tail: float
 ) -> Float[np.ndarray, "t"]:
-    """Squared Mahalanobis distance within which a line lies with the given probability, (t,).
+    """Return the squared Mahalanobis distance that contains a line with the given probability,
+    (t,).
 
-    The covariances must include `variance_factor`, which makes them valid at 95 %.
+    The covariances must already be multiplied by `variance_factor`, which makes them valid at 95 %.
     """
     limit_at_coverage = chi_square_quantile(_COVERAGE, _PARAMETERS)
     if tail < _SMALLEST_TAIL:
@@ -141,7 +150,10 @@ def ellipsoid_limit(
 
 
 def _student_limit(probability: float, freedom: Float[np.ndarray, "t"]) -> Float[np.ndarray, "t"]:
-    """Squared distance within which a line with Student-distributed errors lies, (t,)."""
+    """Return the squared distance that contains a line with the given probability, (t,).
+
+    The errors have a Student distribution with `freedom` degrees of freedom.
+    """
     kinds, kind = np.unique(freedom, return_inverse=True)
     return _PARAMETERS * scipy.special.fdtri(_PARAMETERS, kinds, probability)[kind]
 
@@ -151,10 +163,10 @@ def scale_covariance_of_lines(
     covariance_mm2: Float[np.ndarray, "t 6 6"],
     factor: Float[np.ndarray, "t"],
 ) -> Float[np.ndarray, "t 6 6"]:
-    """Multiply the variances across each line by its factor, (t, 6, 6).
+    """Multiply the variances across each line by a factor, (t, 6, 6).
 
-    The variances along the line do not change: they come from the position at which the detector
-    stops, not from noise.
+    The variances along the line stay, because they depend on where the detector ends a segment, not
+    on noise.
     """
     step = ends_mm[:, 1] - ends_mm[:, 0]
     unit = step / np.linalg.norm(step, axis=1, keepdims=True)

@@ -31,10 +31,14 @@ from trinoc.numerics.tables import take_rows
 
 
 class HitRates(NamedTuple):
-    """Shares of the lines in a view's image on which the view has a segment.
+    """Share of lines for which a view has a segment, among the lines in its image.
 
-    true_lines : (v, u) rate of right lines in view v, given that view u shows them.
-    random_lines : (v,) rate of random lines.
+    Attributes
+    ----------
+    true_lines : (v, u)
+        Share of right lines with a segment in view v, among those with a segment in view u.
+    random_lines : (v,)
+        Share of random lines with a segment in view v.
     """
 
     true_lines: Float[np.ndarray, "v v"]
@@ -42,7 +46,11 @@ class HitRates(NamedTuple):
 
 
 def with_view_support(inputs: MatchInput, tracks: Tracks, tuning: MatchTuning) -> Tracks:
-    """Add the evidence of further views to the posterior of each track."""
+    """Update the posteriors of tracks by the views beyond three.
+
+    Every further view is evidence: it has a segment on the line or none. With three views or fewer,
+    the posteriors stay.
+    """
     index, rules = tracks.candidates.index, tuning.view_support
     if index.shape[1] <= 3 or len(index) < rules.min_tracks:
         return tracks
@@ -74,7 +82,10 @@ def with_view_support(inputs: MatchInput, tracks: Tracks, tuning: MatchTuning) -
 def lines_in_images(
     lines: SegmentTable, ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Bool[np.ndarray, "t v"]:
-    """Mask (t, v) of the lines whose middle and one of whose quarter points lie in each image."""
+    """Return the mask of the lines that lie mostly in the image of each view, (t, v).
+
+    The midpoint and one of the quarter points must be inside the image.
+    """
     shares = np.array([0.25, 0.5, 0.75])[:, None]
     points = ends_mm[:, :1] + shares * (ends_mm[:, 1:] - ends_mm[:, :1])
     inside = np.zeros((len(ends_mm), len(lines.ends_px)), dtype=bool)
@@ -94,10 +105,10 @@ def chance_rates(
     gate: float,
     tuning: MatchTuning,
 ) -> Float[np.ndarray, "v"]:
-    """Share of random lines on which each view has a segment, (v,).
+    """Return the share of random lines for which each view has a segment, (v,).
 
-    Random lines are copies of the tracks, displaced in depth along the rays from the mean centre
-    of their cameras.
+    Random lines are copies of the tracks, displaced in depth along the rays from the mean centre of
+    their cameras.
     """
     rules, random = tuning.view_support, np.random.default_rng(0)
     # A sample of some hundreds is precise enough, and its time does not grow with the scene.
@@ -121,8 +132,10 @@ def chance_rates(
         # A copy that moves along a camera's ray stays on the segment of its track.
         is_other_segment = hit.segment != tracks.index[visible_rows[hit.track], view]
         hits[view] = len(np.unique(hit.track[is_other_segment]))
-    number = visible.sum(axis=0)
-    return (hits + rules.prior_random_rate * rules.prior_lines) / (number + rules.prior_lines)
+    visible_count = visible.sum(axis=0)
+    return (hits + rules.prior_random_rate * rules.prior_lines) / (
+        visible_count + rules.prior_lines
+    )
 
 
 def right_rates(
@@ -131,10 +144,10 @@ def right_rates(
     posterior: Float[np.ndarray, "t"],
     rules: ViewSupportTuning,
 ) -> Float[np.ndarray, "v v"]:
-    """Probability that view v has a segment of a correct line of which view u has one, (v, v).
+    """Return the share of right lines with a segment in view v, among lines in view u, (v, u).
 
-    Only lines with segments in at least three views other than v are counted: they are tracks
-    whether or not v has a segment.
+    Only lines with segments in at least three other views are counted, because such lines are
+    tracks even without a segment in view v. `in_image` is the result of `lines_in_images`.
     """
     is_member = index >= 0
     has_three_others = (is_member.sum(axis=1, keepdims=True) - is_member) >= 3
@@ -153,7 +166,10 @@ def view_evidence(
     rates: HitRates,
     rules: ViewSupportTuning,
 ) -> Float[np.ndarray, "t"]:
-    """Log likelihood ratio of the views beyond the first three of each track, (t,)."""
+    """Return the log likelihood ratio of hits and misses in the views beyond three, (t,).
+
+    A hit is a segment of the track in a view whose image contains the line.
+    """
     is_member, expected = index >= 0, expected_rates(index, rates, rules)
     log_hit = np.where(is_member, np.log(expected / rates.random_lines), 0.0).sum(axis=1)
     log_missed = np.log((1 - expected) / (1 - rates.random_lines))
@@ -165,10 +181,9 @@ def view_evidence(
 def expected_rates(
     index: Int[np.ndarray, "t v"], rates: HitRates, rules: ViewSupportTuning
 ) -> Float[np.ndarray, "t v"]:
-    """Probability that each view has a segment on a right line, given the other views of the track,
-    (t, v).
+    """Return the probability that each view has a segment on a right line, (t, v).
 
-    It is the largest of the rates given each single view.
+    The probability is the largest one of `rates.true_lines` over the other views of the track.
     """
     rate_by_view = np.where((index >= 0)[:, None, :], rates.true_lines[None], 0.0)
     views = np.arange(index.shape[1])
@@ -184,12 +199,12 @@ def member_posteriors(
     noise_tail: float,
     rules: ViewSupportTuning,
 ) -> Float[np.ndarray, "t v"]:
-    """Probability that each segment of tracks in four or more views is of the line of the others,
+    """Return the probability that each segment belongs to the line of the track's other segments,
     (t, v).
 
-    Alternatives: the segment is of the line, or it is there by chance and the line's own segment
-    is missing. The chi-square of the segment about the line of the others is the rise of the
-    misfit that it causes. NaN if the others determine no line.
+    The probability is computed for tracks in four or more views, and NaN elsewhere. The alternative
+    is a segment that is there by chance, while the segment of the line is missing. The evidence is
+    the increase of the misfit by the segment.
     """
     index = tracks.index
     posterior = np.full(index.shape, np.nan)
@@ -210,9 +225,10 @@ def member_posteriors(
 def misfit_evidence(
     index: Int[np.ndarray, "t v"], misfit: Float[np.ndarray, "t"], gate: float, noise_tail: float
 ) -> Float[np.ndarray, "t"]:
-    """Log likelihood ratio of the fit of the views beyond three, (t,).
+    """Return the log likelihood ratio of the misfit of the views beyond three, (t,).
 
-    By chance, the chi-square of a segment is uniform up to the gate.
+    For a wrong track, the chi-square of each further segment is assumed uniform between 0 and
+    `gate`.
     """
     extra_views = np.maximum((index >= 0).sum(axis=1) - 3, 0)
     misfit_per_view = misfit / (extra_views + 1)

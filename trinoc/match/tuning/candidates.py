@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class CandidateTuning:
-    """Step 1: which segments can be images of one line.
+    """Tuned constants of step 1, the search for segments that can be images of one line.
 
-    Shown by row "1" of the fresh scenes and by "near epipolar" (benchmarks/matching.py). Looser
-    values cost time. The values are static in the kernels, which are compiled for each of them.
+    Their effect is visible in benchmarks/matching.py: row "1" of the fresh scenes, and "near
+    epipolar". Looser values need more time. Each value is compiled into the programs, so a new
+    value compiles them again.
     """
 
     # Smallest common part, as a share of the shorter segment. From the prototype.
@@ -51,9 +52,10 @@ class CandidateTuning:
 
 @dataclass(frozen=True)
 class ScoutTuning:
-    """Scouting of images with many segments: a sample of them gives the region of the lines.
+    """Tuned constants of the search in images with many segments, which a sample of segments
+    restricts.
 
-    Shown by the rows of 2,900 segments per view and by the times (benchmarks/matching.py).
+    Their effect is visible in benchmarks/matching.py: rows of 2,900 segments per view, and times.
     """
 
     # Images with more segments are scouted. By hand: with fewer, scouting saves no time.

@@ -28,7 +28,10 @@ from trinoc.match.tuning.tracks import DecoyTuning, TrackTuning, ViewSupportTuni
 
 @dataclass(frozen=True)
 class MatchTuning:
-    """All groups. All published figures use the default values."""
+    """All tuned constants of the matcher, in groups.
+
+    All published figures were measured with the default values.
+    """
 
     observations: ObservationTuning = field(default_factory=ObservationTuning)
     clutter: ClutterTuning = field(default_factory=ClutterTuning)

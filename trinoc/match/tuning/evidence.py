@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ClutterTuning:
-    """Density of segments that belong to no line.
+    """Tuned constants of the clutter model, the density of segments that belong to no line.
 
-    Shown by merton1 and merton2, which have locally dense texture, and by the fresh scenes
-    (benchmarks/matching.py).
+    Their effect is visible in benchmarks/matching.py: merton1 and merton2, which have locally dense
+    texture, and the fresh scenes.
     """
 
     # The local density of clutter is that of this number of neighbours. By hand.
@@ -17,8 +17,10 @@ class ClutterTuning:
 
 @dataclass(frozen=True)
 class ObservationTuning:
-    """Segments that carry no information. No benchmark shows it: a saturated edge may state any
-    error.
+    """Tuned constants for the exclusion of segments that are too uncertain or duplicate.
+
+    No benchmark depends on these constants. The exclusion is needed because a saturated edge may
+    have any reported error.
     """
 
     # Largest standard deviation of a segment across itself, px; its length is a limit too. By hand:
@@ -31,10 +33,10 @@ class ObservationTuning:
 
 @dataclass(frozen=True)
 class SideTuning:
-    """Grey levels beside segments, in hundredths of the range of all levels.
+    """Tuned constants of the evidence of grey levels beside segments.
 
-    Shown by "with side levels" of merton1 and by the rendered scenes (benchmarks/matching.py
-    --rendered).
+    Levels are percentages of the range of all levels. The effect of the constants is visible in
+    benchmarks/matching.py: "with side levels" of merton1, and the rendered scenes (--rendered).
     """
 
     # Standard deviations of the levels of one surface between views. By hand.
@@ -54,10 +56,10 @@ class SideTuning:
 
 @dataclass(frozen=True)
 class EndTuning:
-    """Ends of segments along their line. The scales are static in the kernels.
+    """Tuned constants of the evidence of segment ends, along their common line.
 
-    Shown by the rows "ej5", ends cut by up to 5 px, and by merton1 and merton2
-    (benchmarks/matching.py).
+    Their effect is visible in benchmarks/matching.py: rows "ej5" with ends cut by up to 5 px,
+    merton1 and merton2. The scales are compiled into the programs.
     """
 
     # Standard deviations of the ends if all views agree, px. From the prototype, where the evidence
@@ -77,9 +79,9 @@ class EndTuning:
 
 @dataclass(frozen=True)
 class EvidenceTuning:
-    """Sum of the evidence as log odds.
+    """Tuned constants for the sum of all evidence as log odds.
 
-    Shown by the calibration error and the reliability table (benchmarks/matching.py).
+    Their effect is visible in benchmarks/matching.py: calibration error and reliability table.
     """
 
     # Real errors have heavy tails: each is the stated one times one of these factors. From the

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class CollinearTuning:
-    """Tracks joined to straight lines.
+    """Tuned constants for joining collinear tracks to straight lines.
 
-    Shown by "pairs of tracks joined" and by the errors of lines of benchmarks/joined_lines.py.
+    Their effect is visible in benchmarks/joined_lines.py: "pairs of tracks joined", and errors of
+    lines.
     """
 
     # Smallest probability that two tracks are one line, or that two ends meet; and smallest
@@ -42,9 +43,10 @@ class CollinearTuning:
 
 @dataclass(frozen=True)
 class CornerTuning:
-    """Ends snapped to corners, with `JunctionTuning` and `CollinearTuning`.
+    """Tuned constants for moving line ends to corners, besides `JunctionTuning` and
+    `CollinearTuning`.
 
-    Shown by the corners and the lengths of benchmarks/joined_lines.py.
+    Their effect is visible in benchmarks/joined_lines.py: corners and lengths.
     """
 
     # Standard deviation along its line of the end of a segment, px. By hand; the median error of
@@ -54,9 +56,10 @@ class CornerTuning:
 
 @dataclass(frozen=True)
 class WireframeTuning:
-    """Faces of the wire frame, with `CornerTuning` for the fit of ends to corners.
+    """Tuned constants of the faces of the wire frame. The constants of the vertices are in
+    `CornerTuning`.
 
-    Shown by benchmarks/wireframe.py.
+    Their effect is visible in benchmarks/wireframe.py.
     """
 
     # Largest sigma of a face's vertices across it, as a share of its size. By hand.

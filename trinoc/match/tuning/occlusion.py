@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class OcclusionTuning:
-    """Step 3: pairs of views.
+    """Tuned constants of step 3, the matching of segments that only two views show.
 
-    Shown by "1+2+3" and "step 3 alone", and by the calibration error (benchmarks/matching.py).
+    Their effect is visible in benchmarks/matching.py: "1+2+3", "step 3 alone", and calibration
+    error.
     """
 
     # In images with many segments and no junctions, one end of a pair must agree within this factor

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RimTuning:
-    """Constants of the search for circles through matched chords.
+    """Tuned constants of the search for circles through chords.
 
-    The benchmark `rims.py` shows their effect.
+    Their effect is visible in benchmarks/rims.py.
     """
 
     # Two matched lines propose a circle if the two tangent circles coincide within this share of

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class JunctionTuning:
-    """Ends that meet in space. They support each other in steps 2 and 3, and form the corners.
+    """Tuned constants of junctions, line ends that meet in space.
 
-    Shown by rows "1" against "1+2", most of all of boxes ej5 and of tables
-    (benchmarks/matching.py), and by the corners of benchmarks/joined_lines.py.
+    Junctions are evidence in steps 2 and 3, and form the corners. The effect of the constants is
+    visible in benchmarks/matching.py: rows "1" and "1+2", mainly of boxes ej5 and of tables. It is
+    also visible in the corners of benchmarks/joined_lines.py.
     """
 
     # Largest distance of ends that meet, or of an end from its corner, px. By hand.
@@ -33,9 +34,9 @@ class JunctionTuning:
 
 @dataclass(frozen=True)
 class SelectionTuning:
-    """Step 2: estimation of the parameters, exclusion of rivals, neighbours.
+    """Tuned constants of step 2: EM, exclusion of rivals, junctions.
 
-    Shown by rows "1" and "1+2" of the fresh scenes (benchmarks/matching.py).
+    Their effect is visible in benchmarks/matching.py: rows "1" and "1+2" of the fresh scenes.
     """
 
     # Two candidates conflict if they share more than this of the shorter part of a segment. From
@@ -60,10 +61,11 @@ class SelectionTuning:
 
 @dataclass(frozen=True)
 class RepetitionTuning:
-    """Patterns that repeat along epipolar lines. Shown by benchmarks/repetition.py.
+    """Tuned constants for patterns that repeat along epipolar lines.
 
-    Chosen on its seeds 1 to 3, the last value on seed 1. Boxes, loose lines and blocks (seeds
-    701 to 703) served for comparison.
+    Their effect is visible in benchmarks/repetition.py. They were chosen with its seeds 1 to 3, the
+    last constant with seed 1. Boxes, loose lines and blocks (seeds 701 to 703) were used for
+    comparison.
     """
 
     # Smallest log odds of the candidates that are tested and of their rivals. A candidate is
@@ -84,9 +86,10 @@ class RepetitionTuning:
 
 @dataclass(frozen=True)
 class NoiseTuning:
-    """Ratio of estimated to stated errors of the segments, from three views.
+    """Tuned constants for the estimate of actual over stated errors of segments, from three views.
 
-    Shown by the coverage of ellipsoids with wrong stated sigmas (benchmarks/matching_truth.py).
+    Their effect is visible in benchmarks/matching_truth.py: share of lines inside their ellipsoids
+    if the stated sigmas are wrong.
     """
 
     # Smallest posterior of the triples that are used, and number of prior triples with errors as

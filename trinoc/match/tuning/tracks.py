@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class TrackTuning:
-    """Tracks, reasons, and the verdict on matches.
+    """Tuned constants of tracks, of the reasons of unmatched segments, and of the checks of
+    matches.
 
-    Shown by "Viewpoint-dependent tracks" (docs/matching.md) and, for more than three views, by
-    tests/match/test_match_segments.py.
+    Their effect is visible in "Viewpoint-dependent tracks" of docs/matching.md. For more than three
+    views, tests/match/test_match_segments.py depends on them.
     """
 
     # Up to this number of views, all triplets are matched. With more, each view is matched with
@@ -73,9 +74,9 @@ class TrackTuning:
 
 @dataclass(frozen=True)
 class ViewSupportTuning:
-    """More than three views: evidence of the views that show a track, and of those that do not.
+    """Tuned constants of the evidence from more than three views: hits and misses on a track.
 
-    Shown by benchmarks/real_scenes.py.
+    Their effect is visible in benchmarks/real_scenes.py.
     """
 
     # Smallest number of tracks for an estimate. By hand.
@@ -99,9 +100,10 @@ class ViewSupportTuning:
 
 @dataclass(frozen=True)
 class DecoyTuning:
-    """Test whether a set of segments belongs to a rig. Shown by benchmarks/mixed_sets.py.
+    """Tuned constants of the test whether segments and rig belong together.
 
-    By hand, on its seeds 11 and 12, on merton1, merton2 and four view triplets of the corridor.
+    Their effect is visible in benchmarks/mixed_sets.py. They were chosen by hand on its seeds 11
+    and 12, on merton1, merton2 and four view triplets of the corridor.
     """
 
     # Posterior of a sure track. Views with fewer segments are not tested.

@@ -38,8 +38,11 @@ _SLOPE_VARIANCES = (11, 12, 13)
 
 
 class PencilSegments(NamedTuple):
-    """Segments of one view in a pencil. Kernels index the single array `columns`, one row per
-    quantity.
+    """Segments of one view in the frame of an epipolar pencil, one column for each segment.
+
+    Plane angles are the angles of the epipolar planes through the ends. The slope of a viewing ray
+    is its coordinate along the baseline over its distance from the baseline. The array `columns`
+    contains all properties, because compiled programs index this array as a whole.
     """
 
     columns: Float[ArrayLike, "16 *n"]
@@ -51,61 +54,62 @@ class PencilSegments(NamedTuple):
 
     @property
     def high(self) -> Scalar:
-        """Larger plane angle of the two ends, rad, without a jump of 2 pi after `low`."""
+        """Larger plane angle of the two ends, rad. It exceeds `low` by less than pi, without a jump
+        of 2 pi.
+        """
         return self.columns[1]
 
     @property
     def cosine_low(self) -> Scalar:
-        """Cosine of `low`."""
+        """Cosine of the angle `low`."""
         return self.columns[2]
 
     @property
     def sine_low(self) -> Scalar:
-        """Sine of `low`."""
+        """Sine of the angle `low`."""
         return self.columns[3]
 
     @property
     def cosine_high(self) -> Scalar:
-        """Cosine of `high`."""
+        """Cosine of the angle `high`."""
         return self.columns[4]
 
     @property
     def sine_high(self) -> Scalar:
-        """Sine of `high`."""
+        """Sine of the angle `high`."""
         return self.columns[5]
 
     @property
     def p(self) -> Scalar:
-        """Coefficient of the cosine in the slope p cos phi + q sin phi."""
+        """Coefficient p of the segment's slope p cos(phi) + q sin(phi) at the plane angle phi."""
         return self.columns[6]
 
     @property
     def q(self) -> Scalar:
-        """Coefficient of the sine in the slope p cos phi + q sin phi."""
+        """Coefficient q of the segment's slope p cos(phi) + q sin(phi) at the plane angle phi."""
         return self.columns[7]
 
     @property
     def normal(self) -> Vector3:
-        """Unit normal of the interpretation plane."""
+        """Unit normal of the interpretation plane, in the frame of the pencil."""
         return self.columns[8], self.columns[9], self.columns[10]
 
     @property
     def slope_variance(self) -> Vector3:
-        """Covariance (c00, c01, c11) of the slopes at `low` and `high`, from the errors of the
-        ends across the segment.
+        """Variances and covariance (c00, c01, c11) of the slopes at the angles `low` and `high`.
+
+        The values follow from the errors of the ends across the segment.
         """
         low, joint, high = _SLOPE_VARIANCES
         return self.columns[low], self.columns[joint], self.columns[high]
 
     @property
     def end_variance_px2(self) -> tuple[Scalar, Scalar]:
-        """Variance of the positions along the segment at the plane angles `low` and `high`,
-        px^2.
-        """
+        """Variance of the position along the segment at the fixed angles `low` and `high`, px^2."""
         return self.columns[14], self.columns[15]
 
     def with_slope_error(self, variance: Scalar) -> "PencilSegments":
-        """Add an independent error of the given variance to the slope at both ends."""
+        """Return the segments with `variance` added to the variance of the slope at both ends."""
         rows = list(self.columns)
         for row in (_SLOPE_VARIANCES[0], _SLOPE_VARIANCES[-1]):
             rows[row] = rows[row] + variance
@@ -118,14 +122,22 @@ def take_segments(table: PencilSegments, index: Int[ArrayLike, "*p"]) -> PencilS
 
 
 class Pencil(NamedTuple):
-    """Pencil of planes through two camera centres, with the segments of both views in its frame.
+    """Epipolar pencil: all planes through the centres of two cameras, and the segments of both
+    views.
 
-    frame : rows axis, first, second, world frame.
-    origin_mm : centre of the first view, world frame.
-    baseline_mm : distance of the centres.
-    first, second : segments of both views.
+    In a stack of frames, the first three attributes have a leading axis of frames.
 
-    Camera fields have one value per frame of a stack.
+    Attributes
+    ----------
+    frame : (3, 3)
+        Unit vectors of the pencil's frame as rows, in the world frame. The first is along the
+        baseline, the second is the direction of plane angle 0.
+    origin_mm : (3,)
+        Centre of the first camera, world frame.
+    baseline_mm : ()
+        Distance of the two centres.
+    first, second : PencilSegments
+        Segments of the first and of the second view.
     """
 
     frame: Float[ArrayLike, "*f 3 3"]
@@ -138,9 +150,9 @@ class Pencil(NamedTuple):
 def build_pencil(
     lines: SegmentTable, a: Int[ArrayLike, ""] | int, b: Int[ArrayLike, ""] | int
 ) -> Pencil:
-    """Pencil of views a and b.
+    """Build the epipolar pencil of the views a and b.
 
-    Outside `jit` it runs in NumPy: one evaluation takes less time than its compilation.
+    Outside `jit`, the function runs in NumPy, because a single evaluation is faster than compiling.
     """
     xp = array_namespace(lines, a, b)
     lines = jax.tree.map(xp.asarray, lines)
@@ -171,7 +183,10 @@ def build_pencil(
 def take_pencil(
     planes: Pencil, lines: SegmentTable, view: Int[ArrayLike, ""], segment: Int[ArrayLike, "..."]
 ) -> Pencil:
-    """Pencil with the planes of the frames of some segments."""
+    """Return the pencil with the camera data of each segment's frame, for a stack of frames.
+
+    `view` is the first view of the pencil, `segment` the indices of segments in that view.
+    """
     if lines.frame is None:
         return planes
     frame = lines.frame[view, segment]
@@ -188,8 +203,10 @@ def _pencil_columns(
     line_normal: Float[ArrayLike, "2 n 2"],
     across_px2: Float[ArrayLike, "2 n 2 2"],
 ) -> Float[ArrayLike, "2 c n"]:
-    """Columns of the segments of both views. `homography` maps homogeneous pixels to rays in the
-    pencil's frame.
+    """Compute the columns of `PencilSegments` for both views.
+
+    `homography` maps homogeneous pixels to viewing rays in the frame of the pencil. `line_normal`
+    is the unit normal of each segment in the image.
     """
     xp = array_namespace(homography, ends_px)
     rows = [vector3(homography[..., k, :]) for k in range(3)]
@@ -234,8 +251,10 @@ def _pencil_columns(
 def plane_angles(
     lines: SegmentTable, view: int, segments: PencilSegments
 ) -> Float[np.ndarray, "n 2"]:
-    """Plane angles (low, high) of the segments of a view, (n, 2). Different frames have disjoint
-    ranges.
+    """Return the plane angles (low, high) of the segments of a view, (n, 2) rad.
+
+    In a stack of frames, a multiple of 16 rad is added for each frame, so that the angles of
+    different frames do not overlap.
     """
     angles = np.stack([np.asarray(segments.low), np.asarray(segments.high)], axis=1)
     if lines.frame is None:
@@ -245,10 +264,18 @@ def plane_angles(
 
 
 class CommonPart(NamedTuple):
-    """Common part of two segments, bounded by two planes of the pencil.
+    """Common part of one segment in each of two views, bounded by two epipolar planes.
 
-    at_low, at_high : (slope in the first view, cos, sin, 1 / radius) on both bounding planes.
-    possible : mask of the pairs with a common part in front of both cameras.
+    Attributes
+    ----------
+    low, high : ()
+        Plane angles of the bounding planes, rad.
+    at_low, at_high : (4,)
+        Point of the line in space on each bounding plane. The values are the slope of the ray in
+        the first view, cosine and sine of the plane angle, and inverse distance from the baseline,
+        1/mm.
+    possible : ()
+        True if the common part exists and lies in front of both cameras.
     """
 
     low: Scalar
@@ -261,7 +288,9 @@ class CommonPart(NamedTuple):
 def cut_pair(
     baseline_mm: Scalar, a: PencilSegments, b: PencilSegments, tuning: CandidateTuning
 ) -> CommonPart:
-    """Cut one segment of each view to their common part, so that their ends correspond."""
+    """Return the common part of a segment `a` of the first view and a segment `b` of the second
+    view.
+    """
     xp = array_namespace(a.low, b.low)
     low, high = xp.maximum(a.low, b.low), xp.minimum(a.high, b.high)
     shorter = xp.minimum(a.high - a.low, b.high - b.low)
@@ -284,7 +313,7 @@ def cut_pair(
 
 
 def common_ends_mm(planes: Pencil, part: CommonPart) -> tuple[Vector3, Vector3]:
-    """Ends in space, world frame, of the common part of a pair."""
+    """Return the ends of the common part of a pair in space, world frame."""
 
     def point(bounding_plane: tuple[Scalar, Scalar, Scalar, Scalar]) -> Vector3:
         in_frame = scaled3(bounding_plane[:3], 1 / bounding_plane[3])
@@ -301,10 +330,25 @@ def pairs_sharing_planes(
     pairs_at_once: int,
     ends_px: float | None = None,
 ) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:
-    """Yield the pairs of the given rows that share epipolar planes, each once, in blocks.
+    """Yield the pairs of segments that share epipolar planes, in blocks of about `pairs_at_once`.
 
-    With `ends_px`, only pairs whose low ends or high ends lie on the same plane, within this
-    distance along either segment.
+    With `ends_px`, a pair must also have two corresponding ends on one plane. Corresponding ends
+    are both low ends or both high ends, within `ends_px` along either segment.
+
+    Parameters
+    ----------
+    lines : SegmentTable
+        Segments of all views.
+    views : (2,)
+        Indices of the two views.
+    planes : Pencil
+        Pencil of the two views.
+    rows : (n,) and (m,)
+        Segments of the first view and of the second view to combine.
+    pairs_at_once : int
+        Approximate number of pairs of a block.
+    ends_px : float, optional
+        Largest distance of corresponding ends.
     """
     first, second = (view_rows.astype(np.int32) for view_rows in rows)
     angles_of_views = [
@@ -343,10 +387,10 @@ def end_angles(
     radius_px: float,
     sigmas: float = 4.0,
 ) -> Float[np.ndarray, "n 2 2"]:
-    """Ranges of plane angle about both ends of each segment, (n, 2, 2).
+    """Return an interval of the plane angle about both ends of each segment, (n, 2, 2) rad.
 
-    A range extends `radius_px` along the segment, plus `sigmas` standard deviations of the end's
-    plane angle.
+    The interval corresponds to `radius_px` along the segment, plus `sigmas` standard deviations of
+    the end's position. `angles` is the result of `plane_angles`.
     """
     variance = np.stack([np.asarray(x) for x in segments.end_variance_px2], axis=1)
     span = (angles[:, 1] - angles[:, 0])[:, None]

@@ -30,12 +30,20 @@ OfPoints = Float[ArrayLike, "v e *h"]
 
 
 class SegmentPlanes(NamedTuple):
-    """One segment in each of several views, with the data of its camera and of the clutter model.
+    """One segment in each of v views, for each of h candidates, with camera and clutter data.
 
-    matrix_px, centre_mm : of the cameras, one for all items or one for each.
-    line, ends_px, length_px, rays : as in SegmentTable.
-    variance_px2 : covariance (c00, c01, c11) of the ends across the segment.
-    log_clutter, typical_px : as in ClutterModel, about each segment and for its frame.
+    Attributes
+    ----------
+    matrix_px, centre_mm : (v, 3, 4) and (v, 3)
+        Cameras of the views. In a stack, those of each candidate.
+    line, ends_px, length_px, rays : (v, h, ...)
+        As in SegmentTable.
+    variance_px2 : three of (v, h)
+        Variances and covariance (c00, c01, c11) of the two ends across the segment.
+    log_clutter : (v, h)
+        `ClutterModel.log_density` of each segment.
+    typical_px : (1,)
+        `ClutterModel.typical_px`. In a stack, that of each candidate.
     """
 
     matrix_px: Float[ArrayLike, "v *_h 3 4"]
@@ -50,13 +58,22 @@ class SegmentPlanes(NamedTuple):
 
 
 class InterpretationPlanes(NamedTuple):
-    """Planes through a camera's centre and a segment, evaluated at points near them.
+    """Interpretation planes of segments, with their distances from given points in space.
 
-    normal : unit normals.
-    distance_mm : signed distance of each point from each plane.
-    px_per_mm : image displacement across the segment per mm along `normal`, at each point.
-    interval : position of each point along the segment, 0 at its first end and 1 at its second.
-    image_px : image of each point.
+    An interpretation plane contains a camera's centre and a segment.
+
+    Attributes
+    ----------
+    normal : three of (v, h)
+        Coordinates of the unit normals, world frame.
+    distance_mm : (v, e, h)
+        Signed distance of each point from each plane.
+    px_per_mm : (v, e, h)
+        Image displacement across the segment for a displacement of the point along `normal`.
+    interval : (v, e, h)
+        Position of each point's image along the segment, 0 at its first end and 1 at its second.
+    image_px : two of (v, e, h)
+        Image (u, v) of each point.
     """
 
     normal: tuple[OfViews, OfViews, OfViews]
@@ -72,7 +89,10 @@ def segment_planes(
     views: Int[ArrayLike, "v"],
     segments: Int[ArrayLike, "v *h"],
 ) -> SegmentPlanes:
-    """Collect the data of segments, one in each view. All segments of one item are of one frame."""
+    """Collect the data of the candidates' segments, one segment in each of the given views.
+
+    In a stack of frames, all segments of a candidate belong to one frame.
+    """
     xp = array_namespace(lines, clutter, segments)
     view = views.reshape(-1, *(1 for _ in segments.shape[1:]))
     typical_px = xp.asarray(clutter.typical_px)
@@ -98,8 +118,9 @@ def segment_planes(
 
 
 def interpretation_planes(segments: SegmentPlanes, points_mm: Vector3) -> InterpretationPlanes:
-    """Interpretation plane of each segment at points in space; each coordinate of the points is
-    (e, *h).
+    """Compute the interpretation plane of each segment, and its distances from points in space.
+
+    Each coordinate of `points_mm` is (e, h): e points for each candidate.
     """
     matrix, line = segments.matrix_px, vector3(segments.line)
     gradient = times_matrix(matrix[..., :3].mT, line)
@@ -116,14 +137,17 @@ def interpretation_planes(segments: SegmentPlanes, points_mm: Vector3) -> Interp
 
 
 def variance_mm2(segments: SegmentPlanes, planes: InterpretationPlanes, e: int, f: int) -> OfViews:
-    """Covariance of the distances of two points from each plane, due to the segments' errors."""
+    """Return the covariance of the distances of points e and f from each plane, (v, h) mm^2.
+
+    The covariance follows from the errors of the segments.
+    """
     interval, px_per_mm = planes.interval, planes.px_per_mm
     covariance = interpolated_covariance(segments.variance_px2, interval[:, e], interval[:, f])
     return covariance / (px_per_mm[:, e] * px_per_mm[:, f])
 
 
 def image_length_px(planes: InterpretationPlanes) -> OfViews:
-    """Distance between the images of the first two points."""
+    """Return the distance between the images of the first two points in each view, (v, h)."""
     u, v = planes.image_px
     return array_namespace(u).sqrt((u[:, 1] - u[:, 0]) ** 2 + (v[:, 1] - v[:, 0]) ** 2)
 
@@ -131,8 +155,10 @@ def image_length_px(planes: InterpretationPlanes) -> OfViews:
 def extents_on_line(
     segments: SegmentPlanes, origin: Vector3, direction: Vector3
 ) -> tuple[OfViews, OfViews]:
-    """Interval (low, high) of each segment on a line in space, mm: nearest points to the rays of
-    its ends.
+    """Return the interval (low, high) of each segment on a line in space, (v, h) mm each.
+
+    The ends of the interval are the points of the line nearest to the viewing rays of the segment's
+    ends. Positions are measured from `origin` along the unit vector `direction`.
     """
     direction = in_front(direction)
     centre = add3(vector3(segments.centre_mm), in_front(origin), -1.0)

@@ -23,11 +23,17 @@ from trinoc.numerics.vectors import complete_axes
 
 
 class Graph(NamedTuple):
-    """Lines between vertices; lines between the same two vertices are one edge.
+    """Measured lines in space that meet at vertices. Lines between the same two vertices are one
+    edge.
 
-    lines_mm, covariance_mm2 : the measured lines.
-    along_mm : standard deviation of both ends along each line, because a detector may stop early.
-    vertex : vertex at both ends of each line.
+    Attributes
+    ----------
+    lines_mm, covariance_mm2 : (l, 2, 3) and (l, 6, 6)
+        Ends of the measured lines, world frame, and their covariance.
+    along_mm : (l, 2)
+        Standard deviation of both ends along the line. It allows for a detector that stops early.
+    vertex : (l, 2)
+        Vertex at both ends of each line.
     """
 
     lines_mm: Float[np.ndarray, "l 2 3"]
@@ -42,7 +48,7 @@ class Graph(NamedTuple):
 
 
 def build_graph(joined: JoinedLines, corners: Corners, free_end_px: float) -> Graph:
-    """Graph with a vertex for each corner, and one for each end that is at no corner."""
+    """Build the graph with one vertex for each corner and for each line end without a corner."""
     count = len(joined)
     vertex = np.full((count, 2), -1)
     vertex[corners.line, corners.end] = corners.corner
@@ -61,14 +67,22 @@ STEPS = 3
 
 
 class AdjustedGraph(NamedTuple):
-    """Adjusted vertices, and the residuals of each line at its two vertices.
+    """Result of the adjustment of a graph: vertex positions and residuals.
 
-    points_mm : (n, 3) vertices.
-    part : (n,) connected part of each vertex.
-    covariance_mm2 : for each part, covariance of its vertices in their order.
-    axes : (l, 3, 3) rows: two axes across each line, then the one along it.
-    residual_mm : (l, 2, 3) vertices minus observed positions, in the axes of the line.
-    observation_covariance_mm2 : (l, 2, 3, 2, 3) covariance of the observed positions.
+    Attributes
+    ----------
+    points_mm : (n, 3)
+        Positions of the vertices, world frame.
+    part : (n,)
+        Connected part of the graph that each vertex belongs to.
+    covariance_mm2 : tuple of (3 k, 3 k)
+        For each part, joint covariance of its k vertices.
+    axes : (l, 3, 3)
+        For each line, two unit vectors across it and one along it, as rows.
+    residual_mm : (l, 2, 3)
+        Vertex minus measured end of the line, in the axes of the line.
+    observation_covariance_mm2 : (l, 2, 3, 2, 3)
+        Covariance of the measured ends, in the axes of the line.
     """
 
     points_mm: Float[np.ndarray, "n 3"]
@@ -79,7 +93,7 @@ class AdjustedGraph(NamedTuple):
     observation_covariance_mm2: Float[np.ndarray, "l 2 3 2 3"]
 
     def joint(self, vertices: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k 3 k 3"]:
-        """Joint covariance of vertices of one connected part, (k, 3, k, 3), mm^2."""
+        """Return the joint covariance of some vertices of one connected part, (k, 3, k, 3) mm^2."""
         part = int(self.part[vertices[0]])
         rows = np.searchsorted(np.flatnonzero(self.part == part), vertices)
         blocks = self.covariance_mm2[part]
@@ -88,7 +102,7 @@ class AdjustedGraph(NamedTuple):
 
     @property
     def vertex_covariances_mm2(self) -> Float[np.ndarray, "n 3 3"]:
-        """Covariance of each vertex."""
+        """Covariance of each vertex, (n, 3, 3)."""
         covariances = np.empty((len(self.part), 3, 3))
         for part, joint in enumerate(self.covariance_mm2):
             blocks = joint.reshape(len(joint) // 3, 3, -1, 3)
@@ -97,12 +111,14 @@ class AdjustedGraph(NamedTuple):
 
     @property
     def across_mm2(self) -> Float[np.ndarray, "l 2 2 2"]:
-        """Covariance of each line's observed positions across itself, at both ends."""
+        """Covariance of both measured ends of each line across the line, (l, 2, 2, 2)."""
         return np.einsum("leaeb->leab", self.observation_covariance_mm2)[:, :, :2, :2]
 
 
 def adjust_vertices(graph: Graph) -> AdjustedGraph:
-    """Maximum-likelihood vertices of a graph."""
+    """Estimate the vertices by least squares, so that every line passes through both of its
+    vertices.
+    """
     vertex, count = graph.vertex, graph.count
     axes = line_axes(graph.lines_mm)
     adjacency = sparse.csr_matrix((np.ones(len(vertex)), vertex.T), shape=(count, count))
@@ -137,7 +153,7 @@ def adjust_vertices(graph: Graph) -> AdjustedGraph:
 
 
 def line_axes(ends_mm: Float[np.ndarray, "l 2 3"]) -> Float[np.ndarray, "l 3 3"]:
-    """Two directions across each line, and the direction along it, (l, 3, 3)."""
+    """Return two unit vectors across each line, then the one along the line, as rows (l, 3, 3)."""
     direction = ends_mm[:, 1] - ends_mm[:, 0]
     direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     return np.concatenate([complete_axes(direction), direction[:, None]], axis=1)
@@ -146,8 +162,10 @@ def line_axes(ends_mm: Float[np.ndarray, "l 2 3"]) -> Float[np.ndarray, "l 3 3"]
 def _vertex_observations(
     graph: Graph, axes: Float[np.ndarray, "l 3 3"], points_mm: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "l 2 3"], Float[np.ndarray, "l 2 3 2 3"]]:
-    """Residuals of both vertices of each line, in its axes, and the covariance of the observed
-    positions.
+    """Return the residuals of both vertices of each line, and the covariance of the measured ends.
+
+    Both are in the axes of the line. The covariance is extrapolated along the line to the positions
+    of the vertices.
     """
     ends = graph.lines_mm
     residual = np.einsum("lai,lei->lea", axes, points_mm[graph.vertex] - ends)

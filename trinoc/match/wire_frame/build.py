@@ -28,18 +28,25 @@ MIN_VARIANCE_SHARE = 1e-6
 
 
 class EndFit(NamedTuple):
-    """Misfit of both ends of each line: chi-square and its degrees of freedom."""
+    """Chi-square (l, 2) of both ends of each line against their vertices, and degrees of freedom
+    (l, 2).
+    """
 
     square: Float[np.ndarray, "l 2"]
     degrees: Int[np.ndarray, "l 2"]
 
 
 class SnoopingResult(NamedTuple):
-    """Result of removing ends that do not fit.
+    """Result of removing line ends that do not fit their vertex (data snooping).
 
-    graph : the graph without the removed ends.
-    adjusted : its adjustment.
-    let_go : removed ends: line, end, chi-square, degrees of freedom.
+    Attributes
+    ----------
+    graph : Graph
+        Graph in which each removed end is a free end.
+    adjusted : AdjustedGraph
+        Adjustment of this graph.
+    let_go : tuple of (line, end, chi-square, degrees of freedom)
+        The removed ends.
     """
 
     graph: Graph
@@ -48,7 +55,7 @@ class SnoopingResult(NamedTuple):
 
 
 def end_fit(graph: Graph, adjusted: AdjustedGraph) -> EndFit:
-    """Misfit of each line end to the vertex that all lines together give."""
+    """Compute the chi-square of each line end against the vertex that all lines there determine."""
     is_shared = np.bincount(graph.vertex.reshape(-1))[graph.vertex] > 1
     line_covariance, axes = adjusted.across_mm2, adjusted.axes[:, None, :2]
     vertex_covariance = axes @ adjusted.vertex_covariances_mm2[graph.vertex] @ axes.mT
@@ -67,10 +74,11 @@ def end_fit(graph: Graph, adjusted: AdjustedGraph) -> EndFit:
 def snoop_ends(
     graph: Graph, posterior: Float[np.ndarray, "l"], significance: float
 ) -> SnoopingResult:
-    """Remove line ends from their vertices, the worst first, until all fit at this significance.
+    """Remove line ends that do not fit their vertex, the worst first, until all ends fit.
 
-    If two ends fit equally badly, as at a vertex of two lines, the line with the lower posterior
-    is removed.
+    An end does not fit if its chi-square is improbable at the given significance. If two ends fit
+    equally badly, as at a vertex of two lines, the end of the line with the lower posterior is
+    removed.
     """
     let_go: list[tuple[int, int, float, int]] = []
     while True:
@@ -93,11 +101,16 @@ def snoop_ends(
 
 
 class RefusedEnd(NamedTuple):
-    """Free end whose line misses the corner beside it.
+    """Free line end near a corner, whose line does not pass through the corner.
 
-    line, end : index of the line, and its end, 0 or 1.
-    distance_mm : distance of the line from the corner.
-    chi_square : of this distance, with 2 degrees of freedom.
+    Attributes
+    ----------
+    line, end : int
+        Index of the line, and its end, 0 or 1.
+    distance_mm : float
+        Distance of the line from the corner.
+    chi_square : float
+        Chi-square of this distance, with 2 degrees of freedom.
     """
 
     line: int
@@ -113,8 +126,9 @@ def find_refused_ends(
     radius_px: float,
     significance: float,
 ) -> tuple[RefusedEnd, ...]:
-    """Free ends near a corner whose line significantly misses that corner; the nearest corner
-    counts.
+    """List the free line ends near a corner whose line significantly misses the corner.
+
+    Each end is compared with its nearest corner within `radius_px`.
     """
     vertex, vertex_covariances = graph.vertex, adjusted.vertex_covariances_mm2
     is_shared = np.bincount(vertex.reshape(-1), minlength=graph.count) > 1
@@ -149,29 +163,38 @@ def wireframe(
 
     Parameters
     ----------
-    matches : the tracks, with the covariance of their fragments.
-    rig : the cameras, which are assumed exact.
-    flat : True constrains the vertices of each face to its plane.
-    tuning : all tuned constants; the groups of the line map and `wireframe` are used here.
+    matches : Matches
+        The tracks, with the covariance of their fragments.
+    rig : Rig
+        The cameras, which are assumed exact.
+    flat : bool
+        True to constrain the vertices of each face to its plane.
+    tuning : MatchTuning
+        Tuned constants; the groups of the line map and `wireframe` are used here.
 
     Returns
     -------
     Wireframe
+        Vertices, edges and faces with their covariance.
 
     Raises
     ------
-    InputError : the matches hold no covariance of their fragments.
+    InputError
+        If the matches have no covariance of their fragments.
 
     Notes
     -----
-    Collinear tracks are joined (`join_collinear`), and ends that meet are corners
-    (`snap_corners`). Then all vertices are estimated jointly, such that every edge passes
-    through both of its vertices. An end that does not fit its corner at a significance of 0.001
-    is removed, the worst first, and stays as a free end. `let_go` lists it, and ends within 7
-    pixels of a corner whose line misses it. Lines between the same two vertices are one edge. A
-    face is a shortest loop of three or more edges whose vertices lie in one plane, at the same
-    significance. Free ends are where detectors stopped: each has a standard deviation of 7
-    pixels or more along its edge.
+    Collinear tracks are joined (`join_collinear`), and line ends that meet are joined to corners
+    (`snap_corners`). All vertices are then estimated jointly, so that every edge passes through
+    both of its vertices. Lines between the same two vertices are one edge.
+
+    A line end that does not fit its corner at a significance of 0.001 becomes a free end, the worst
+    end first. `let_go` lists these ends. It also lists free ends within 7 pixels of a corner whose
+    line misses the corner. Other free ends are the positions where detectors stopped. Their
+    standard deviation along the edge is 7 pixels or more.
+
+    A face is a shortest loop of three or more edges whose vertices lie in one plane, at the same
+    significance.
     """
     joined = join_collinear(matches, rig, tuning=tuning)
     corners = snap_corners(joined, tuning=tuning)
@@ -229,7 +252,10 @@ def wireframe(
 
 
 def _edges(graph: Graph) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "l"]]:
-    """Vertices of each edge, in the order of its first line, and the edge of each line."""
+    """Return the two vertices of each edge, and the edge of each line.
+
+    Edges are sorted by the index of their first line.
+    """
     pairs = np.sort(graph.vertex, axis=1)
     unique, first, inverse = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
@@ -241,14 +267,18 @@ def _edges(graph: Graph) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "l"]]:
 def _combine_members(
     combine: np.ufunc, start: float, values: np.ndarray, group: np.ndarray
 ) -> np.ndarray:
-    """Combine the values of each edge's lines or tracks, from a neutral start value."""
+    """Combine the values of all members of each group with a ufunc, such as `np.maximum`.
+
+    `group` is the group of each row of `values`, for example the edge of each line. `start` is the
+    neutral element of the ufunc.
+    """
     result = np.full((int(group.max(initial=-1)) + 1, *values.shape[1:]), start, values.dtype)
     combine.at(result, group, values)
     return result
 
 
 def _is_no_line(matches: Matches) -> Bool[np.ndarray, "t"]:
-    """Mask of the tracks that are probably no line in space, (t,)."""
+    """Return the mask of the tracks that probably show no line in space, (t,)."""
     is_no_line = np.zeros(len(matches), dtype=bool)
     if matches.viewpoint_dependent is not None:
         is_no_line |= matches.viewpoint_dependent
@@ -260,9 +290,7 @@ def _is_no_line(matches: Matches) -> Bool[np.ndarray, "t"]:
 def _vertex_misfits(
     snooping: SnoopingResult,
 ) -> tuple[Float[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """Chi-square of all lines across themselves at each vertex, and its degrees of freedom,
-    (n,).
-    """
+    """Return chi-square and degrees of freedom of all line ends at each vertex, (n,) each."""
     vertex = snooping.graph.vertex.reshape(-1)
     residual = snooping.adjusted.residual_mm[:, :, :2, None]
     square = residual.mT @ np.linalg.solve(snooping.adjusted.across_mm2, residual)
@@ -273,9 +301,10 @@ def _vertex_misfits(
 def _orient_faces(
     faces: list[Face], views: Bool[np.ndarray, "n v"], matches: Matches, rig: Rig
 ) -> tuple[list[Face], Bool[np.ndarray, "f"]]:
-    """Turn the normal of each face toward most of the cameras that see it.
+    """Turn the normal of each face toward the side with most of the cameras that show the face.
 
-    Returns the faces, and for each whether all of these cameras lie on the side of the normal.
+    Returns the faces, and the mask of the faces with all of these cameras on one side. `views`
+    marks the views that show each vertex.
     """
     centres = np.stack([np.asarray(rig[name].centre_world_mm) for name in matches.views])
     oriented, is_facing = [], []
@@ -291,8 +320,9 @@ def _orient_faces(
 def _describe_unfitted_ends(
     snooping: SnoopingResult, refused: tuple[RefusedEnd, ...], joined: JoinedLines
 ) -> LetGo:
-    """Table of the ends that do not fit. A removed end is listed once, with the corner that it
-    left.
+    """Build the table of the line ends that do not fit, with the reason of each.
+
+    An end that was removed and is also near another corner is listed once, as removed.
     """
     reasons = {
         (end.line, end.end): sentences.end_misses_near_corner(end.distance_mm, end.chi_square)

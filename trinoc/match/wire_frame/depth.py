@@ -22,20 +22,32 @@ def depth_map(
     filled: bool = False,
     tuning: MatchTuning = DEFAULT,
 ) -> Float[np.ndarray, "h w"]:
-    """Depth before a camera at each pixel, (h, w) mm; NaN where it is unknown.
+    """Compute the depth map of one view from the matched lines, and optionally from faces.
 
     Parameters
     ----------
-    matches : the tracks.
-    rig : the cameras.
-    view : name of the view.
-    filled : True also fills the faces of the wire frame (`wireframe`), with the nearest one where
-        several overlap. Otherwise only the lines that the view shows have a depth.
-    tuning : all tuned constants.
+    matches : Matches
+        The tracks.
+    rig : Rig
+        The cameras.
+    view : str
+        Name of the view.
+    filled : bool
+        False to compute the depth only for pixels on the lines that the view shows. True to fill
+        the faces of the wire frame (`wireframe`) too, each pixel with the depth of the nearest
+        face.
+    tuning : MatchTuning
+        All tuned constants.
+
+    Returns
+    -------
+    (h, w)
+        Depth in front of the camera at each pixel, mm; NaN where it is unknown.
 
     Raises
     ------
-    InputError : unknown view, or `filled` without the covariance of the fragments.
+    InputError
+        If the view is unknown, or `filled` needs the covariance of the fragments and it is missing.
     """
     camera = rig[view]
     width, height = camera.image_size_px
@@ -86,7 +98,9 @@ def _draw_face(depth: Float[np.ndarray, "h w"], camera: Camera, face: np.ndarray
 def _draw_nearest(
     depth: Float[np.ndarray, "h w"], rows: np.ndarray, columns: np.ndarray, value: np.ndarray
 ) -> None:
-    """Write depths into the map where they are nearer than the present ones."""
+    """Write depths to the given pixels of the map, except where the map has a smaller depth
+    already.
+    """
     height, width = depth.shape
     is_inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width) & (value > 0)
     pixels = rows[is_inside].astype(np.int64), columns[is_inside].astype(np.int64)

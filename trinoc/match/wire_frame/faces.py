@@ -22,8 +22,10 @@ STEPS = 2
 
 
 class _Plane(NamedTuple):
-    """Plane with unit normal and offset. A step turns the normal toward its two axes and shifts
-    the plane.
+    """Plane normal . x = offset_mm, with a unit normal.
+
+    A step has three parameters: turn of the normal toward the two axes `complete_axes(normal)`
+    (rad), and change of the offset (mm).
     """
 
     normal: Float[np.ndarray, "3"]
@@ -32,23 +34,33 @@ class _Plane(NamedTuple):
     def distances(
         self, points_mm: Float[np.ndarray, "k 3"]
     ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k 3"]]:
-        """Distances of points from the plane (k,), and their derivatives by a step (k, 3)."""
+        """Return the signed distances of points from the plane, (k,), and their derivatives (k, 3).
+
+        The derivatives are by the parameters of a step.
+        """
         in_plane = points_mm @ complete_axes(self.normal).T
         jacobian = np.column_stack([in_plane, -np.ones(len(points_mm))])
         return points_mm @ self.normal - self.offset_mm, jacobian
 
     def turn(self, step: Float[np.ndarray, "1 3"]) -> "_Plane":
-        """Apply a step."""
+        """Return the plane after a step."""
         normal = self.normal + step[0, :2] @ complete_axes(self.normal)
         return _Plane(normal / np.linalg.norm(normal), self.offset_mm + float(step[0, 2]))
 
 
 class Face(NamedTuple):
-    """Loop of vertices and the plane through them.
+    """Planar face: a loop of vertices and the plane through them.
 
-    plane : unit normal, and offset in mm. The loop runs counter-clockwise about the normal.
-    covariance : (4, 4) covariance of these.
-    chi_square, degrees : misfit of the vertices, and its degrees of freedom.
+    Attributes
+    ----------
+    loop : (k,)
+        Indices of the vertices, counter-clockwise about the normal.
+    plane : (4,)
+        Unit normal, and offset in mm: normal . x = offset.
+    covariance : (4, 4)
+        Covariance of `plane`.
+    chi_square, degrees : float and int
+        Misfit of the vertices to the plane, and its degrees of freedom.
     """
 
     loop: Int[np.ndarray, "k"]
@@ -61,7 +73,11 @@ class Face(NamedTuple):
 def find_faces(
     adjusted: AdjustedGraph, edges: Int[np.ndarray, "e 2"], tuning: MatchTuning
 ) -> list[Face]:
-    """Find all planar loops without a chord, starting from two edges of a vertex."""
+    """Find the faces: shortest loops of edges whose vertices lie in one plane.
+
+    The search starts from every pair of edges at a vertex. Loops with a chord, an edge between two
+    vertices that are not neighbours on the loop, are rejected.
+    """
     import networkx
 
     graph = networkx.Graph(edges.tolist())
@@ -83,8 +99,9 @@ def find_faces(
 def _vertices_near_plane(
     adjusted: AdjustedGraph, corner: Int[np.ndarray, "3"], tuning: MatchTuning
 ) -> Bool[np.ndarray, "n"] | None:
-    """Mask of the vertices that may lie in the plane of three, (n,); None if these are nearly
-    collinear.
+    """Return the mask of the vertices that may lie in the plane through three vertices, (n,).
+
+    The result is None if the three vertices `corner` are nearly collinear.
     """
     points = adjusted.points_mm
     to_first, to_second = points[corner[1:]] - points[corner[0]]
@@ -115,8 +132,10 @@ def _vertices_near_plane(
 def _loop(
     graph: "networkx.Graph", is_near: Bool[np.ndarray, "n"], vertex: int, first: int, second: int
 ) -> list[int] | None:
-    """Shortest loop in the plane through both edges; None if there is none, or if it has a
-    chord.
+    """Return the shortest loop through `first`, `vertex` and `second` that uses only vertices near
+    a plane.
+
+    `is_near` marks these vertices. The result is None if there is no loop or if it has a chord.
     """
     subgraph = graph.subgraph([v for v in graph if is_near[v] and v != vertex])
     if first not in subgraph or second not in subgraph:
@@ -134,9 +153,10 @@ def _loop(
 def fit_plane(
     adjusted: AdjustedGraph, loop: Int[np.ndarray, "k"], *, flattened: bool = False
 ) -> Face:
-    """Maximum-likelihood plane of vertices under their joint covariance.
+    """Fit a plane to the vertices of a loop, weighted by their joint covariance.
 
-    With `flattened`, the vertices already lie in one plane and have equal weights.
+    With `flattened`, the vertices already lie in one plane, so only the covariance of the plane is
+    computed.
     """
     points, joint = adjusted.points_mm[loop], adjusted.joint(loop)
     centre = points.mean(axis=0)
@@ -176,14 +196,12 @@ def fit_plane(
 
 
 def _best_normal(points_mm: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "3"]:
-    """Unit normal of the plane through the origin with the least squared distances to the
-    points.
-    """
+    """Return the unit normal of the plane through the origin that fits the points best, (3,)."""
     return np.linalg.svd(points_mm)[2][2]
 
 
 def _is_plane(adjusted: AdjustedGraph, face: Face, tuning: MatchTuning) -> bool:
-    """Test whether the vertices lie in the plane, and are precise enough for the test."""
+    """True if the vertices lie in the plane of the face, and are precise enough for this test."""
     points = adjusted.points_mm[face.loop]
     variance = np.diagonal(_variance_along(face.plane[:3], adjusted.joint(face.loop)))
     size = np.linalg.norm(points - points.mean(axis=0), axis=1).max()
@@ -196,7 +214,7 @@ def _is_plane(adjusted: AdjustedGraph, face: Face, tuning: MatchTuning) -> bool:
 def _variance_along(
     normal: Float[np.ndarray, "3"], joint: Float[np.ndarray, "k 3 k 3"]
 ) -> Float[np.ndarray, "k k"]:
-    """Covariance of points along a normal, (k, k)."""
+    """Return the covariance of the points' coordinates along a normal, (k, k)."""
     return np.einsum("i,aibj,j->ab", normal, joint, normal)
 
 
@@ -205,7 +223,10 @@ FLATTEN_STEPS = 3
 
 
 def flatten_faces(adjusted: AdjustedGraph, faces: list[Face]) -> AdjustedGraph:
-    """Constrain the vertices of each face to a plane, with the resulting covariance."""
+    """Move the vertices so that those of each face lie in one plane, by constrained least squares.
+
+    The covariances of the vertices are updated.
+    """
     points, covariance = adjusted.points_mm.copy(), list(adjusted.covariance_mm2)
     for part in sorted({int(adjusted.part[face.loop[0]]) for face in faces}):
         members = np.flatnonzero(adjusted.part == part)
@@ -233,8 +254,9 @@ def flatten_faces(adjusted: AdjustedGraph, faces: list[Face]) -> AdjustedGraph:
 def _plane_constraints(
     adjusted: AdjustedGraph, loop: Int[np.ndarray, "k"], members: Int[np.ndarray, "m"]
 ) -> Float[np.ndarray, "c d"]:
-    """Rows of k - 3 linear constraints that put k vertices into one plane, over all vertices of
-    the part.
+    """Return k - 3 linear constraints that put the k vertices of a loop into one plane.
+
+    The rows refer to the coordinates of all vertices `members` of the connected part.
     """
     points = adjusted.points_mm[loop] - adjusted.points_mm[loop].mean(axis=0)
     normal = _best_normal(points)

@@ -26,13 +26,16 @@ TWO_VIEWS = 2
 
 
 class LetGo(Table):
-    """Line ends that do not fit.
+    """Line ends that do not fit the wire frame.
 
-    Fields
-    ------
-    track : (k,) first track of the line.
-    place_mm : (k, 3) position of the end, world frame.
-    reason : (k,) reason, as a sentence.
+    Attributes
+    ----------
+    track : (k,)
+        First track of the line.
+    place_mm : (k, 3)
+        Position of the line end, world frame.
+    reason : (k,)
+        Reason, as a sentence.
     """
 
     SIDES: ClassVar[Mapping[str, str]] = {"k": "rows of what was let go"}
@@ -43,7 +46,7 @@ class LetGo(Table):
 
 
 def _sizes_of_parts(table: Content) -> list[int]:
-    """Number of covariance rows of each part: three per vertex."""
+    """Return the size of the covariance of each connected part: three rows for each vertex."""
     part = table.values["part"]
     return [] if (part < 0).any() else (3 * np.bincount(part)).tolist()
 
@@ -52,33 +55,50 @@ class Wireframe(Feature):
     """Graph in space: straight edges between vertices, and faces that are loops of edges.
 
     Vertices, edges and faces are numbered from 0. `face` and `face_vertex` form one table with a
-    row for each vertex of each face, in order round it.
+    row for each vertex of each face, in sequence along the loop.
 
-    Fields
-    ------
-    vertices_mm : (n, 3) corners, and free ends where an edge's evidence stops, world frame.
-    corner : (n,) True if two or more edges meet there, False for a free end.
-    vertex_chi_square, vertex_degrees : (n,) misfit of the edges to one point, and its degrees of
-        freedom.
-    part : (n,) connected part of each vertex. Vertices of different parts are independent.
-    joint_covariance_mm2 : for each part, (3 k, 3 k) covariance of its vertices in their order.
-    edges : (e, 2) the two vertices of each edge, the lower number first.
-    posterior : (e,) probability that the best match on it is right.
-    views : (e,) number of views that show it. No third view confirms an edge in two views.
-    viewpoint_dependent : (e,) True if all of its tracks are probably no line in space, by the field
-        of this name of the matches or by the mark "silhouette".
-    chi_square, degrees : (e,) misfit of its lines to the rest of the graph, with 0 degrees if
-        nothing else determines its vertices.
-    edge_of_track : (t,) edge of each track of the matches, -1 if the track was removed.
-    face, face_vertex : (m,) number of the face, and of the vertex.
-    planes : (f, 4) unit normal and offset in mm of each face, normal . x = offset. The vertices run
+    Attributes
+    ----------
+    vertices_mm : (n, 3)
+        Positions of the vertices, world frame: corners, and free ends where the observed part of an
+        edge ends.
+    corner : (n,)
+        True if two or more edges meet at the vertex, False for a free end.
+    vertex_chi_square, vertex_degrees : (n,)
+        Misfit of the edges to one point, and its degrees of freedom.
+    part : (n,)
+        Connected part of the graph that each vertex belongs to. Vertices of different parts are
+        independent.
+    joint_covariance_mm2 : tuple of (3 k, 3 k)
+        For each part, joint covariance of its k vertices.
+    edges : (e, 2)
+        The two vertices of each edge, the smaller index first.
+    posterior : (e,)
+        Probability that the best match of the edge is right.
+    views : (e,)
+        Number of views that show the edge. An edge in two views is not confirmed by a third view.
+    viewpoint_dependent : (e,)
+        True if all tracks of the edge probably show no line in space: by
+        `Matches.viewpoint_dependent` or by the mark "silhouette".
+    chi_square, degrees : (e,)
+        Misfit of the edge's lines to the rest of the graph, and its degrees of freedom; 0 degrees
+        if only these lines determine the vertices.
+    edge_of_track : (t,)
+        Edge of each track of the matches, -1 if the track was removed.
+    face, face_vertex : (m,)
+        Index of the face, and index of the vertex.
+    planes : (f, 4)
+        Unit normal and offset in mm of each face: normal . x = offset. The vertices run
         counter-clockwise about the normal.
-    planes_covariance : (f, 4, 4) covariance of these.
-    face_chi_square, face_degrees : (f,) misfit of the vertices to one plane, and its degrees of
-        freedom.
-    facing : (f,) True if all cameras that see its edges lie on the side of the normal. Otherwise
-        the normal points to most of them.
-    let_go : line ends that do not fit, with reasons.
+    planes_covariance : (f, 4, 4)
+        Covariance of `planes`.
+    face_chi_square, face_degrees : (f,)
+        Misfit of the vertices to one plane, and its degrees of freedom.
+    facing : (f,)
+        True if all cameras that show the face's edges lie on the side of the normal. Otherwise most
+        of them do.
+    let_go : LetGo
+        Line ends that do not fit, with reasons.
     """
 
     KIND: ClassVar[str] = "wireframe"
@@ -149,17 +169,17 @@ class Wireframe(Feature):
 
     @property
     def checked(self) -> Bool[np.ndarray, "e"]:
-        """Mask of the edges in three or more views, (e,)."""
+        """Mask of the edges that three or more views show, (e,)."""
         return self.views > TWO_VIEWS
 
     @property
     def lines_mm(self) -> Float[np.ndarray, "e 2 3"]:
-        """Both ends of each edge, (e, 2, 3) mm."""
+        """Both ends of each edge, (e, 2, 3) mm, world frame."""
         return self.vertices_mm[self.edges].reshape(-1, 2, 3)
 
     @property
     def corners(self) -> Bool[np.ndarray, "e 2"]:
-        """Mask of the ends of each edge that are corners, (e, 2)."""
+        """Mask of the edge ends that are corners, (e, 2)."""
         return self.corner[self.edges]
 
     @property
@@ -173,7 +193,7 @@ class Wireframe(Feature):
         return line_sigmas(self.lines_mm, self.covariance_mm2).length_sigma_mm
 
     def summary(self) -> str:
-        """Numbers of edges, corners, free ends and faces, as a sentence."""
+        """Return the numbers of edges, corners, free ends and faces as a sentence."""
         corners, unchecked = int(self.corner.sum()), int((~self.checked).sum())
         return (
             f"{len(self)} edges, {unchecked} of them seen by two views only; {corners} corners, "
@@ -181,7 +201,9 @@ class Wireframe(Feature):
         )
 
     def record(self) -> dict[str, Any]:
-        """The same numbers, and the ends that do not fit."""
+        """Return the numbers of edges, corners, free ends and faces, and the line ends that do not
+        fit.
+        """
         corners = int(self.corner.sum())
         unfitted_ends = zip(self.let_go.track.tolist(), self.let_go.reason.tolist(), strict=True)
         return {
@@ -194,7 +216,7 @@ class Wireframe(Feature):
         }
 
     def wires(self) -> Wires:
-        """The edges as lines, and the faces as loops."""
+        """Return the edges as lines and the faces as loops, for drawing."""
         return Wires(self.vertices_mm, self.edges, np.arange(len(self)), self.faces)
 
     @property
@@ -211,7 +233,7 @@ class Wireframe(Feature):
 
     @property
     def faces(self) -> list[Int[np.ndarray, "_"]]:
-        """Vertices of each face, in order round it."""
+        """Indices of the vertices of each face, in sequence along its loop."""
         return [self.face_vertex[self.face == face] for face in range(len(self.planes))]
 
     @property
@@ -231,17 +253,19 @@ class Wireframe(Feature):
         )
 
     def tracks_of(self, edge: int | np.integer) -> Int[np.ndarray, "_"]:
-        """Tracks of the matches on an edge."""
+        """Return the indices of the tracks on an edge."""
         return np.flatnonzero(self.edge_of_track == edge)
 
     def edges_at(self, vertex: int | np.integer) -> Int[np.ndarray, "_"]:
-        """Edges that meet at a vertex."""
+        """Return the indices of the edges that meet at a vertex."""
         return np.flatnonzero((self.edges == vertex).any(axis=1))
 
     def covariance_of(
         self, vertices: Sequence[int] | Int[np.ndarray, "k"]
     ) -> Float[np.ndarray, "m m"]:
-        """Joint covariance of vertices, (3 k, 3 k) mm^2, three rows for each in turn."""
+        """Return the joint covariance of k vertices, (3 k, 3 k) mm^2, with three rows for each
+        vertex.
+        """
         selected = np.asarray(vertices, dtype=np.int64)
         covariance = np.zeros((len(selected), 3, len(selected), 3))
         for part in np.unique(self.part[selected]).tolist():

@@ -23,14 +23,17 @@ _RMS_OF_BOW = float(np.sqrt(4 / 45))  # numerical: moments of a parabola
 
 
 def typical_blur(lines: FittedLines) -> float:
-    """Variance of the blur of the image's edges, px^2: median, weighted by the number of points."""
+    """Return the typical blur variance of the image's edges, px^2.
+
+    The value is the median over the lines, weighted by their numbers of points.
+    """
     if len(lines.support) == 0:
         return 0.0
     return max(_quantile(lines.blur_px2, lines.support, 0.5), 0.0)
 
 
 def _quantile(values: Float[np.ndarray, "r"], weights: Int[np.ndarray, "r"], share: float) -> float:
-    """Weighted quantile: the smallest value whose cumulative weight reaches the share."""
+    """Return a weighted quantile: the smallest value whose cumulative weight reaches the share."""
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     return float(values[order[np.searchsorted(total, share * total[-1])]])
@@ -39,11 +42,17 @@ def _quantile(values: Float[np.ndarray, "r"], weights: Int[np.ndarray, "r"], sha
 def is_sharp(
     lines: FittedLines, usual_px2: float, tuning: AcceptTuning = DEFAULT.accept
 ) -> Bool[np.ndarray, "r"]:
-    """Mask of the edges that are no soft shadows: not much wider than usual.
+    """Return the mask of the edges that are not much wider than usual, (r,). Others are soft
+    shadows.
 
+    `usual_px2` is the typical blur variance.
+
+    Notes
+    -----
     In an image with many edge widths (depth, texture), a wide edge is no evidence of a shadow. The
     limit therefore grows with the spread of the widths. The spread is measured on the narrower half
-    of clear lines: shadows are in the wider half, and noise scatters the widths of faint lines.
+    of lines with large evidence, because shadows are in the wider half. Faint lines are not used,
+    because noise changes their widths.
     """
     ratio = lines.kernel_variance_px2 + lines.blur_px2
     ratio /= lines.kernel_variance_px2 + usual_px2
@@ -56,11 +65,14 @@ def is_sharp(
 
 
 def is_straight(lines: FittedLines, tuning: AcceptTuning = DEFAULT.accept) -> Bool[np.ndarray, "r"]:
-    """Mask of the edges that are no pieces of curves, such as the rims of cylinders.
+    """Return the mask of the lines that are not chords of curves, such as rims of cylinders, (r,).
 
-    The points of an arc lie on the arc. A line counts as straight if a curve explains little of its
-    points' scatter and the bow is small. A bow alone is no evidence of an arc, because lenses bend
-    straight edges and real edges are slightly bent.
+    A line is a chord under two conditions. A neighbouring line continues its curve. The curve
+    explains most of its residuals, or its bow is large.
+
+    Notes
+    -----
+    A bow alone is not enough, because lenses bend straight edges and real edges are slightly bent.
     """
     length = lines.pieces.length_px
     bow = np.abs(lines.sagitta_px)
@@ -72,7 +84,10 @@ def is_straight(lines: FittedLines, tuning: AcceptTuning = DEFAULT.accept) -> Bo
 
 
 def _continues_curve(lines: FittedLines, tuning: AcceptTuning) -> Bool[np.ndarray, "r"]:
-    """Mask of the lines whose curve continues in a piece before or after them."""
+    """Return the mask of the lines whose curve continues in the line before or after, (r,).
+
+    The turn between the two lines must agree with the turn that the bow predicts.
+    """
     bends = np.zeros(len(lines.support), dtype=bool)
     ends = lines.pieces.ends_px
     one, other, gap = near_pairs(ends[:, 1], ends[:, 0], tuning.next_px)
@@ -95,5 +110,8 @@ def _continues_curve(lines: FittedLines, tuning: AcceptTuning) -> Bool[np.ndarra
 
 
 def least_snr2(false_alarms: float, pixels: int) -> float:
-    """Evidence that noise exceeds `false_alarms` times, on average, in an image of this size."""
+    """Return the smallest evidence of a line that is accepted in an image of the given size.
+
+    On average, noise alone causes `false_alarms` lines with larger evidence.
+    """
     return _DECAY * float(np.log(max(_RATE_PER_MEGAPIXEL * pixels / 1e6 / false_alarms, 1.0)))

@@ -25,11 +25,12 @@ _BLOCK = 1 << 13  # numerical: size of a block
 
 
 def successors(pixels: ThinnedPixels, shape: tuple[int, int]) -> Int[np.ndarray, "n"]:
-    """Next point along the edge of each point, (n,); -1 if there is none.
+    """Return the next point along the edge for each edge point, (n,); -1 if there is none.
 
-    Candidates are points ahead, within two pixels and thirty degrees. The preferred one has the
-    smallest distance along + 1.5 distance across + 2 (1 - cosine of the angle). A link requires
-    that both points prefer each other. `shape` is (height, width) of the image.
+    Candidates are points ahead within two pixels, whose direction differs by at most thirty
+    degrees. The best candidate has the smallest cost: distance along + 1.5 distance across + 2 (1 -
+    cosine of the angle). Two points are linked only if each is the best candidate of the other.
+    `shape` is (height, width) of the image.
     """
     count = len(pixels.pixel)
     successor = np.full(count, -1, dtype=np.int64)
@@ -47,7 +48,7 @@ def successors(pixels: ThinnedPixels, shape: tuple[int, int]) -> Int[np.ndarray,
 def _candidate_links(
     pixels: ThinnedPixels, shape: tuple[int, int]
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Float[np.ndarray, "m"]]:
-    """(from, to, cost) of all pairs of points that may be consecutive."""
+    """Return all pairs of points that may be consecutive, as arrays (first, second, cost)."""
     width = shape[1]
     index = np.full(shape[0] * width, -1, dtype=np.int32)
     index[pixels.pixel] = np.arange(len(pixels.pixel), dtype=np.int32)
@@ -71,7 +72,10 @@ def _candidate_links(
 
 
 def _sectors(direction: np.ndarray) -> Int[np.ndarray, "n"]:
-    """Sector number of each direction, four times faster than by an arc tangent."""
+    """Return the sector of each direction, an integer from 0 to _SECTORS - 1, (n,).
+
+    The comparison of slopes is four times faster than an arc tangent.
+    """
     u, v = np.abs(np.real(direction)), np.abs(np.imag(direction))
     sector = np.zeros(len(direction), np.int8)
     for slope in _SLOPES:
@@ -86,7 +90,10 @@ def _links(
     direction: np.ndarray,
     position: np.ndarray,
 ) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """(from, to, cost) of those pairs of nearby points that may be consecutive."""
+    """Select the pairs of nearby points that may be consecutive. Returns (first, second, cost).
+
+    The second point must be ahead of the first, with a similar direction.
+    """
     first_direction, second_direction = np.take(direction, first), np.take(direction, second)
     cosine = _dot(first_direction, second_direction)
     turning = np.flatnonzero(cosine > _LEAST_COSINE)
@@ -109,9 +116,11 @@ def _dot(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "m"]:
 
 @functools.cache
 def _offsets_ahead() -> Int[np.ndarray, "sectors m 2"]:
-    """Pixel steps (u, v) that lie ahead, for each sector of the direction, (sectors, m, 2)."""
-    reach = np.arange(-BORDER_PX, BORDER_PX + 1)
-    steps = np.array([(u, v) for v in reach for u in reach if u or v])
+    """Return the pixel steps (u, v) that lie ahead, for each sector of the direction, (sectors, m,
+    2).
+    """
+    offsets = np.arange(-BORDER_PX, BORDER_PX + 1)
+    steps = np.array([(u, v) for v in offsets for u in offsets if u or v])
     angle = np.arange(_SECTORS) * (2 * np.pi / _SECTORS)
     ahead = steps @ np.stack([np.cos(angle), np.sin(angle)])
     return np.stack([steps[np.argsort(-column, kind="stable")[:_AHEAD]] for column in ahead.T])
@@ -120,37 +129,58 @@ def _offsets_ahead() -> Int[np.ndarray, "sectors m 2"]:
 def order_chains(
     successor: Int[np.ndarray, "n"], least_points: int = 1
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "c"]]:
-    """(order, starts): point indices chain by chain, and the start of each chain in this order.
+    """Sort the points by chain, and along each chain.
 
-    Pointer doubling: after k rounds, each point has its 2^k-th predecessor. So the longest chain of
-    an image needs about twelve rounds, without a loop over points. A closed chain is opened at its
-    point of lowest index. Chains with fewer than `least_points` points are dropped.
+    Chains with fewer than `least_points` points are dropped. A closed chain begins at its point
+    with the smallest index.
+
+    Parameters
+    ----------
+    successor : (n,)
+        Result of `successors`.
+    least_points : int
+        Smallest number of points of a chain.
+
+    Returns
+    -------
+    order : (m,)
+        Indices of the points, chain by chain.
+    starts : (c,)
+        Position in `order` at which each chain begins.
+
+    Notes
+    -----
+    Pointer doubling: after k rounds, each point stores its 2^k-th predecessor. The longest chain of
+    an image therefore needs about twelve rounds, without a loop over points.
     """
     count = len(successor)
     linked = np.flatnonzero(successor >= 0)
     predecessor = np.arange(count)
     predecessor[successor[linked]] = linked
-    head, distance = _heads(predecessor)
-    closed = np.flatnonzero(predecessor[head] != head)
+    first_point, distance = _first_points(predecessor)
+    closed = np.flatnonzero(predecessor[first_point] != first_point)
     if len(closed):
-        lowest = _lowest_of_rings(np.searchsorted(closed, predecessor[closed]))
+        lowest = _lowest_of_closed_chains(np.searchsorted(closed, predecessor[closed]))
         predecessor[closed[lowest]] = closed[lowest]
-        head, distance = _heads(predecessor)
-    length = np.bincount(head, minlength=count)
+        first_point, distance = _first_points(predecessor)
+    length = np.bincount(first_point, minlength=count)
     long_chains = np.flatnonzero(length >= least_points)
     length = length[long_chains]
     starts = np.cumsum(length) - length
     chain_start = np.full(count, -1)
     chain_start[long_chains] = starts
-    chain_start = chain_start[head]
+    chain_start = chain_start[first_point]
     within = np.flatnonzero(chain_start >= 0)
     order = np.empty(len(within), dtype=np.int64)
     order[chain_start[within] + distance[within]] = within
     return order, starts
 
 
-def _lowest_of_rings(predecessor: Int[np.ndarray, "n"]) -> Int[np.ndarray, "k"]:
-    """Point of lowest index of each closed chain; all points must lie on closed chains."""
+def _lowest_of_closed_chains(predecessor: Int[np.ndarray, "n"]) -> Int[np.ndarray, "k"]:
+    """Return the point with the smallest index of each closed chain, (k,).
+
+    All points must lie on closed chains.
+    """
     lowest = np.arange(len(predecessor))
     for _ in range(len(predecessor).bit_length()):
         lowest = np.minimum(lowest, lowest[predecessor])
@@ -158,25 +188,25 @@ def _lowest_of_rings(predecessor: Int[np.ndarray, "n"]) -> Int[np.ndarray, "k"]:
     return np.flatnonzero(lowest == np.arange(len(lowest)))
 
 
-def _heads(predecessor: Int[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray]:
-    """(first point of its chain, number of steps to it) of each point.
+def _first_points(predecessor: Int[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first point of each point's chain, and the number of steps to it, (n,) each.
 
-    For a closed chain, some other point of the chain is returned.
+    For a closed chain, any of its points is returned.
     """
     count = len(predecessor)
-    head = predecessor.copy()
+    first_point = predecessor.copy()
     distance = (predecessor != np.arange(count)).astype(np.int64)
     # Points whose first point is final need no more rounds; most chains are short.
     under_way = np.flatnonzero(predecessor[predecessor] != predecessor)
     for _ in range(max(1, int(count).bit_length())):
         if len(under_way) == 0:
             break
-        before = head[under_way]
-        further, steps = head[before], distance[before]
-        head[under_way] = further
+        before = first_point[under_way]
+        further, steps = first_point[before], distance[before]
+        first_point[under_way] = further
         distance[under_way] += steps
-        under_way = under_way[head[further] != further]
-    return head, distance
+        under_way = under_way[first_point[further] != further]
+    return first_point, distance
 
 
 def split_chains(
@@ -185,9 +215,11 @@ def split_chains(
     tolerance_px: float,
     least_points: int,
 ) -> tuple[Int[np.ndarray, "r"], Int[np.ndarray, "r"]]:
-    """(start, stop) of runs of points within `tolerance_px` of the chord between their ends.
+    """Split chains into straight runs, and return the (start, stop) positions of each run.
 
-    `uv_px` are the points chain by chain. Runs with fewer than `least_points` points are dropped.
+    All points of a run are within `tolerance_px` of the chord between its ends. `uv_px` are the
+    points chain by chain, `starts` the first point of each chain. Runs with fewer than
+    `least_points` points are dropped.
     """
     start, stop = starts, np.append(starts[1:], len(uv_px))
     u, v = (np.ascontiguousarray(column) for column in uv_px.T)

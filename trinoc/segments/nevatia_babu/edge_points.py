@@ -16,12 +16,12 @@ LEAST_SIDE, FARTHEST = 0.02, 1.5  # numerical: guards of a parabola through thre
 
 
 class PyramidLevel(NamedTuple):
-    """One resolution of an image; lengths are in pixels of the full image.
+    """The image at one resolution (full or half); lengths are in pixels of the full image.
 
     Attributes
     ----------
     picture : Light
-        Levels and light.
+        Grey levels and light at this resolution.
     kernel : GradientKernel
         Gradient kernel.
     spacing_px : float
@@ -29,10 +29,10 @@ class PyramidLevel(NamedTuple):
     kernel_variance_px2 : float
         Variance of the smoothing by the kernel at this level.
     sigma_strength : float
-        Standard deviation of the gradient by noise, grey levels per px.
+        Standard deviation of the gradient due to noise, grey levels per px.
     slope_variance : float
-        Variance by noise of the slope of the profile across a straight edge, averaged over one
-        pixel of its length, (grey levels per px^2)^2.
+        Variance due to noise of the slope of the gradient profile across a straight edge, (grey
+        levels per px^2)^2. The profile is averaged over one pixel of the edge's length.
     """
 
     picture: Light
@@ -49,38 +49,41 @@ class PyramidLevel(NamedTuple):
 
 
 class EdgePoints(NamedTuple):
-    """Points on edges, in pixels and grey levels of the full image, from either level.
+    """Edge points of both resolutions, in pixels and grey levels of the full image.
+
+    The profile of a point consists of three gradients, sampled along the image axis nearer to the
+    normal of the edge.
 
     Attributes
     ----------
     sample_px : (n, 2)
-        Centre of the pixel at which the profile was sampled.
+        Centre of the middle pixel of the profile.
     spacing_px : (n,)
-        Pixel distance of the point's level.
+        Distance between two pixels of the point's resolution.
     kernel_variance_px2 : (n,)
-        Variance of the smoothing by the kernel at that level.
+        Variance of the smoothing by the kernel at that resolution.
     normal : (n, 2)
         Unit vector across the edge, toward the brighter side.
     along_u : (n,)
         True if the profile was sampled along u, False for v.
     profile : (n, 3)
-        Gradient along `normal` at the pixel before, at and after the point, grey levels per px. For
-        a nonlinear camera response: gradient of the light, scaled so that the middle value is that
-        of the grey levels.
+        Gradient along `normal` at the pixel before, at and after the point, grey levels per px.
+        With a nonlinear camera response, these are gradients of the light, scaled so that the
+        middle value is the gradient of the grey levels.
     light_per_level : (n,)
-        Ratio of the slope of the light to that of the grey levels.
+        Gradient of the light over gradient of the grey levels.
     uv_px : (n, 2)
         Sub-pixel position.
     strength : (n,)
-        Size of the gradient, grey levels per px.
+        Magnitude of the gradient, grey levels per px.
     sharpness : (n,)
-        Nominal variance of the profile (blur of one pixel) over the measured one. Noise can make
-        the measured variance of a weak point arbitrarily large; its inverse can be averaged.
+        Nominal variance of the profile (for a blur of one pixel) over its measured variance. Unlike
+        the measured variance, which noise can make arbitrarily large, this ratio can be averaged.
     information : (n,)
-        Information on the position of the edge across it, px^2. The variance of a line by noise is
-        (variance of its profile)^2 / sum of information.
+        Weight of the point for the position of a line. The variance of a line due to noise is
+        (variance of its profile)^2 / sum of the weights.
     snr2 : (n,)
-        Squared ratio of the strength to its standard deviation by noise.
+        Squared ratio of the strength to its standard deviation due to noise.
     """
 
     sample_px: Float[np.ndarray, "n 2"]
@@ -97,13 +100,13 @@ class EdgePoints(NamedTuple):
     snr2: Float[np.ndarray, "n"]
 
     def take(self, which: np.ndarray) -> "EdgePoints":
-        """Points at the given indices, in that order, or where the mask is true."""
+        """Return the points with the given indices, or the points for which a mask is true."""
         index = np.flatnonzero(which) if which.dtype == np.bool_ else which
         return EdgePoints(*(np.take(field, index, axis=0) for field in self))
 
     @classmethod
     def of_level(cls, pixels: ThinnedPixels, level: PyramidLevel) -> "EdgePoints":
-        """Convert thinned pixels of a level to points of the full image."""
+        """Build edge points from the thinned pixels of one resolution."""
         count, spacing = len(pixels.pixel), np.float32(level.spacing_px)
         size = pixels.profile[:, 1]
         normal = pixels.gradient / size[:, None]
@@ -134,10 +137,12 @@ class EdgePoints(NamedTuple):
         return points._replace(sharpness=(points.kernel_variance_px2 + 1) / variance)
 
     def place_in_light(self, light: Float[np.ndarray, "n 5"]) -> "EdgePoints":
-        """Move the points to the edge in the light, from its gradient at five pixels, (n, 5).
+        """Return the points at the positions of the edges in the light, instead of in the grey
+        levels.
 
-        The new profile is centred on the one of the three middle pixels with the largest gradient.
-        A point without a peak of the light nearby keeps the position of the grey levels.
+        `light` is the gradient of the light at five pixels across each edge. The new profile is
+        centred on the pixel with the largest gradient among the three middle pixels. A point
+        without a peak of the light nearby keeps its position.
         """
         climb = light[:, 1:4].argmax(axis=1)
         profile = np.take_along_axis(light, climb[:, None] + np.arange(3), axis=1)
@@ -161,7 +166,11 @@ class EdgePoints(NamedTuple):
     def locate(
         self, profile: Float[np.ndarray, "n 3"]
     ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
-        """(position, variance across the edge) of the Gaussian through `profile`."""
+        """Fit a Gaussian through the three values of each `profile`.
+
+        Returns the position of the Gaussian (n, 2), px, and its variance across the edge (n,),
+        px^2.
+        """
         offset, variance = peak_of_slope(profile)
         offset = offset * self.spacing_px
         larger = np.where(self.along_u, self.normal[:, 0], self.normal[:, 1])
@@ -172,16 +181,16 @@ class EdgePoints(NamedTuple):
 
 
 class Runs(NamedTuple):
-    """Straight runs of edge points, in sequence.
+    """Straight runs of edge points. The points are sorted by run, and along each run.
 
     Attributes
     ----------
     points : EdgePoints
-        Points of all runs, (n,).
+        The n points of all runs.
     run : (n,)
         Run of each point.
     first, count : (r,)
-        Index of the first point and number of points of each run.
+        Index of the first point, and number of points, of each run.
     """
 
     points: EdgePoints
@@ -191,31 +200,33 @@ class Runs(NamedTuple):
 
     @classmethod
     def from_counts(cls, points: EdgePoints, count: Int[np.ndarray, "r"]) -> "Runs":
-        """Runs of points that are sorted by run, from the number of points in each."""
+        """Build runs from points that are sorted by run, and the number of points in each run."""
         return cls(points, np.repeat(np.arange(len(count)), count), np.cumsum(count) - count, count)
 
     def take(self, keep: Bool[np.ndarray, "r"]) -> "Runs":
-        """The runs where the mask is true."""
+        """Return the runs for which the mask is true."""
         return Runs.from_counts(self.points.take(np.take(keep, self.run)), self.count[keep])
 
     def total(self, of_points: Float[np.ndarray, "n"]) -> Float[np.ndarray, "r"]:
-        """Sum over the points of each run."""
+        """Return the sum of the points' values over each run, (r,)."""
         return np.add.reduceat(of_points, self.first).astype(np.float64)
 
     def mean(self, of_points: Float[np.ndarray, "n"]) -> Float[np.ndarray, "r"]:
-        """Mean over the points of each run."""
+        """Return the mean of the points' values over each run, (r,)."""
         return self.total(of_points) / self.count
 
     def spread(self, of_runs: Shaped[np.ndarray, "r *d"]) -> Shaped[np.ndarray, "n *d"]:
-        """Value of each run, repeated at all of its points."""
+        """Return for each point the value of its run, (n, ...)."""
         return np.take(of_runs, self.run, axis=0)
 
     def differ_from(self, other: "Runs") -> Bool[np.ndarray, "r"]:
-        """Mask of the runs with a point of another position or strength than in `other`, (r,)."""
+        """Return the mask of the runs with a point whose position or strength differs from `other`,
+        (r,).
+        """
         points, other_points = self.points, other.points
         is_moved = (points.uv_px.T != other_points.uv_px.T).any(axis=0)
         return self.total(is_moved | (points.strength != other_points.strength)) > 0
 
     def move(self, uv_px: Float[np.ndarray, "n 2"]) -> "Runs":
-        """The same points at other positions."""
+        """Return the runs with the points at other positions."""
         return self._replace(points=self.points._replace(uv_px=uv_px))

@@ -15,9 +15,16 @@ _NEIGHBOURS = 12  # numerical: bounds a search
 
 
 class Pieces(NamedTuple):
-    """Pieces of lines, each with a point, a unit direction, and the positions of both ends.
+    """Straight pieces of lines in an image.
 
-    `extent_px` are the positions of the ends along the direction, from `centre_px`.
+    Attributes
+    ----------
+    centre_px : (r, 2)
+        A point of each line.
+    direction : (r, 2)
+        Unit vector along the line.
+    extent_px : (r, 2)
+        Positions of the two ends along `direction`, measured from `centre_px`.
     """
 
     centre_px: Float[np.ndarray, "r 2"]
@@ -26,7 +33,7 @@ class Pieces(NamedTuple):
 
     @property
     def ends_px(self) -> Float[np.ndarray, "r 2 2"]:
-        """Two ends of each piece, (r, 2, 2)."""
+        """The two ends of each piece, (r, 2, 2)."""
         return self.centre_px[:, None] + self.extent_px[:, :, None] * self.direction[:, None]
 
     @property
@@ -36,20 +43,20 @@ class Pieces(NamedTuple):
 
 
 class EndpointCrossings(NamedTuple):
-    """Crossings of lines near an end of one of them, largest distance first.
+    """Crossings of a line with another line near one of its ends, sorted by decreasing distance.
 
     Attributes
     ----------
     line, side : (m,)
-        Line, and which of its two ends.
+        The line, and its end near the crossing, 0 or 1.
     other : (m,)
-        The line that crosses it.
+        The other line.
     position : (m,)
-        Position of the crossing along the first line, from its centre.
+        Position of the crossing along the line, px from its centre.
     other_position : (m,)
-        Position along the other line.
+        Position of the crossing along the other line, px from its centre.
     distance_px : (m,)
-        Distance of the end from the crossing.
+        Distance between the end and the crossing.
     """
 
     line: Int[np.ndarray, "m"]
@@ -61,17 +68,20 @@ class EndpointCrossings(NamedTuple):
 
 
 class NearEnds(NamedTuple):
-    """Pairs of an end and a nearby line, as indices (p,). Line k has the ends 2 k and 2 k + 1."""
+    """Pairs of a line end and another line nearby, as indices (p,) of both.
+
+    Line k has the ends 2 k and 2 k + 1.
+    """
 
     end: Int[np.ndarray, "p"]
     line: Int[np.ndarray, "p"]
 
 
-def lines_near_ends(pieces: Pieces, reach_px: float) -> NearEnds:
-    """Lines within twice `reach_px` of each end, where they may cross; at most twelve per end."""
+def lines_near_ends(pieces: Pieces, radius_px: float) -> NearEnds:
+    """List the lines within twice `radius_px` of each line end, at most twelve for each end."""
     count = len(pieces.centre_px)
     owner, samples = line_samples(pieces, SAMPLE_PX)
-    end, sample, _ = near_pairs(pieces.ends_px.reshape(-1, 2), samples, 2 * reach_px, _NEIGHBOURS)
+    end, sample, _ = near_pairs(pieces.ends_px.reshape(-1, 2), samples, 2 * radius_px, _NEIGHBOURS)
     # Most samples near an end belong to its own line.
     other_lines = np.flatnonzero(owner[sample] != end // 2)
     pair = distinct(end[other_lines] * count + owner[sample[other_lines]])
@@ -80,14 +90,15 @@ def lines_near_ends(pieces: Pieces, reach_px: float) -> NearEnds:
 
 def endpoint_crossings(
     pieces: Pieces,
-    reach_px: Float[np.ndarray, "r"],
+    radius_px: Float[np.ndarray, "r"],
     near_ends: NearEnds,
     tuning: EndpointTuning = DEFAULT.ends,
 ) -> EndpointCrossings:
-    """Crossings near the ends of lines that are not parallel.
+    """Compute the crossings near line ends, for the pairs in `near_ends` that are not parallel.
 
-    A crossing lies within `reach_px` (of each line) of the end along its line. It also lies on the
-    other line, or within the other's reach of its ends. Only the pairs in `near_ends` are tested.
+    Each line has its own limit `radius_px` for the position of the crossing along the line. For the
+    first line, the limit applies to the distance from the end. For the other line, the limit
+    applies to the distance from the nearest point of the line.
     """
     centre_px, direction, extent_px = pieces
     end, other = near_ends
@@ -101,12 +112,12 @@ def endpoint_crossings(
     shift = np.abs(position - extent_px[line, side])
     # The crossing must be nearer to this end than to the other one.
     other_shift = np.abs(position - extent_px[line, 1 - side])
-    reach = reach_px[other]
+    other_radius_px = radius_px[other]
     allowed = np.flatnonzero(
-        (shift < reach_px[line])
+        (shift < radius_px[line])
         & (other_shift > shift)
-        & (other_position > extent_px[other, 0] - reach)
-        & (other_position < extent_px[other, 1] + reach)
+        & (other_position > extent_px[other, 0] - other_radius_px)
+        & (other_position < extent_px[other, 1] + other_radius_px)
     )
     allowed = allowed[np.argsort(-shift[allowed], kind="stable")]
     return EndpointCrossings(
@@ -115,16 +126,16 @@ def endpoint_crossings(
 
 
 def snap_ends(
-    pieces: Pieces, reach_px: float, near_ends: NearEnds, tuning: EndpointTuning = DEFAULT.ends
+    pieces: Pieces, radius_px: float, near_ends: NearEnds, tuning: EndpointTuning = DEFAULT.ends
 ) -> tuple[Int[np.ndarray, "r 2"], Float[np.ndarray, "r 2"]]:
-    """(partner, position): the line that stops each end (-1: none), and the end's new position.
+    """Find the crossing line nearest to each line end, within `radius_px`.
 
-    The nearest crossing within `reach_px` counts. Positions are along the line from its centre.
-    `near_ends` are the pairs to test.
+    Returns the crossing line (r, 2), -1 if there is none, and the new position of the end (r, 2).
+    Positions are along the line from its centre, px. Only the pairs in `near_ends` are tested.
     """
     partner = np.full(pieces.extent_px.shape, -1, dtype=np.int64)
     position = pieces.extent_px.copy()
-    crossings = endpoint_crossings(pieces, np.full(len(partner), reach_px), near_ends, tuning)
+    crossings = endpoint_crossings(pieces, np.full(len(partner), radius_px), near_ends, tuning)
     # Of several crossings of one end, the last one written is the nearest.
     partner[crossings.line, crossings.side] = crossings.other
     position[crossings.line, crossings.side] = crossings.position
@@ -136,10 +147,10 @@ def end_sigmas(
     partner: Int[np.ndarray, "r 2"],
     tuning: EndpointTuning = DEFAULT.ends,
 ) -> Float[np.ndarray, "r 2"]:
-    """Standard deviation of each end along its line, (r, 2) px.
+    """Return the standard deviation of each end along its line, (r, 2) px.
 
-    An end with a `partner` lies at a crossing. A free end lies where the evidence stops: the edge
-    may continue below the noise, the farther the smaller its contrast.
+    An end with a `partner` is the crossing with that line. Other ends are less precise, because the
+    edge may continue below the noise. Their sigma decreases with the contrast.
     """
     free = tuning.sigma_free_px / np.sqrt(np.maximum(contrast, 1e-6))
     free = np.minimum(free, tuning.most_free_px)[:, None]
@@ -149,7 +160,10 @@ def end_sigmas(
 def line_samples(
     pieces: Pieces, spacing_px: float
 ) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m 2"]]:
-    """(owner, samples): points along every line, ends included, at most `spacing_px` apart."""
+    """Return points along every line, ends included, at most `spacing_px` apart.
+
+    The first result is the line of each point (m,), the second the points (m, 2).
+    """
     centre_px, direction, extent_px = pieces
     length = pieces.length_px
     count = np.ceil(length / spacing_px).astype(np.int64) + 1

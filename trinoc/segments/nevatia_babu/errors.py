@@ -18,12 +18,12 @@ _PIXEL_VARIANCE = 1 / 12  # numerical: of a box of one pixel
 
 
 class ErrorModel(NamedTuple):
-    """Disturbances of each line, besides noise.
+    """Disturbances of each line besides noise.
 
     Attributes
     ----------
     pull_px : (r,)
-        Mean shift of the points by neighbours, which was corrected.
+        Mean displacement of the points that was corrected for neighbouring lines.
     crowded : (r,)
         Share of the points with another line nearby.
     saturated : (r,)
@@ -31,10 +31,10 @@ class ErrorModel(NamedTuple):
     sagitta_px : (r,)
         Bow of the line; 0 if noise explains it.
     scatter_px : (r,)
-        Root mean square distance of the points from the line, in excess of noise.
+        Root mean square distance of the points from the line, without the part due to noise.
     off_px : (r, 2)
-        Mean distance of the last points at each end from the line; 0 if noise explains it. Larger
-        values mean that a neighbour pulls that end.
+        Mean distance of the last points at each end from the line; 0 if noise explains the
+        distance. A neighbouring edge near this end causes a larger value.
     """
 
     pull_px: Float[np.ndarray, "r"]
@@ -54,22 +54,22 @@ def error_model(
     usual_blur_px2: float,
     tuning: ErrorTuning = DEFAULT.errors,
 ) -> ErrorModel:
-    """Disturbances of each line, from its points as measured and as corrected for neighbours.
+    """Measure the disturbances of each line, from its points before and after their correction.
 
     Parameters
     ----------
     picture : Light
         Image at full resolution.
     measured : EdgePoints
-        Points before the correction.
+        Points before the correction for neighbouring lines.
     cleaned : Runs
         Runs of the corrected points.
     lines : FittedLines
-        Lines through the corrected points.
+        Lines fitted to the corrected points.
     overlaps : Overlaps
         Points near other lines.
     usual_blur_px2 : float
-        Variance of the usual blur of edges.
+        Typical blur variance of edges.
     tuning : ErrorTuning
         Thresholds.
     """
@@ -97,9 +97,9 @@ def error_model(
 def _end_deviations(
     runs: Runs, lines: FittedLines, least_px: Float[np.ndarray, "r"], last_points: int
 ) -> Float[np.ndarray, "r 2"]:
-    """Mean distance of the last points at either end from their line, (r, 2).
+    """Return the mean distance of the last points at either end from their line, (r, 2) px.
 
-    0 below `least_px` over the root of their number.
+    Distances below `least_px` / sqrt(number of points) are set to 0, because noise explains them.
     """
     first, count = runs.first[:, None], np.minimum(last_points, runs.count)[:, None]
     steps = np.arange(last_points)
@@ -120,11 +120,27 @@ def inflate_variance(
     shaded: Shifts,
     tuning: ErrorTuning = DEFAULT.errors,
 ) -> tuple[Float[np.ndarray, "r"], Float[np.ndarray, "r"], Shaped[np.ndarray, "r"]]:
-    """(variance of each line's middle, variance of its common shift, largest contribution).
+    """Add the variances of all disturbances to the variance by noise.
 
-    `noise_px2` is the variance by noise alone. Saturation, shading and a neighbour along the whole
-    line shift a line as a whole. The contribution is "neighbour", "bent", "saturated" or "shaded"
-    if it exceeds that of noise, and "" otherwise.
+    Saturation, shading and a neighbour along the whole line displace a line as a whole.
+
+    Parameters
+    ----------
+    disturbed : ErrorModel
+        Disturbances of each line.
+    noise_px2 : (r,)
+        Variance of the line's midpoint by noise alone.
+    saturated, shaded : Shifts
+        Corrections for saturation and shading.
+    tuning : ErrorTuning
+        Tuned constants.
+
+    Returns
+    -------
+    tuple
+        Variance of the midpoint from errors that also turn the line (r,). Variance of the
+        displacement as a whole (r,). Name of the largest disturbance that exceeds noise (r,):
+        "neighbour", "bent", "saturated", "shaded" or "".
     """
     crowd_px = tuning.crowd_px * np.square(disturbed.crowded)
     neighbour = np.square(disturbed.pull_px) + np.square(crowd_px)
@@ -145,7 +161,11 @@ def noise_variance(
     length_px: Float[np.ndarray, "r"],
     tuning: ErrorTuning = DEFAULT.errors,
 ) -> Float[np.ndarray, "r"]:
-    """Variance of a line's middle across it, without disturbances, (r,) px^2."""
+    """Return the variance of each line's midpoint across the line, by noise and model error, (r,)
+    px^2.
+
+    `variance_middle_px2` is the variance by image noise alone.
+    """
     independent = tuning.model_sigma_per_pixel**2 / np.maximum(length_px, 1.0)
     model = tuning.model_sigma_px**2 + independent
     return tuning.noise_excess * variance_middle_px2 + model
@@ -158,12 +178,27 @@ def end_covariances(
     off_px2: Float[np.ndarray, "r 2"],
     sigma_along_px: Float[np.ndarray, "r 2"],
 ) -> Float[np.ndarray, "r 4 4"]:
-    """Covariance (r, 4, 4) of the ends (u1, v1, u2, v2).
+    """Return the covariance of the ends (u1, v1, u2, v2) of each line, (r, 4, 4).
 
+    Parameters
+    ----------
+    direction : (r, 2)
+        Unit vector along the line.
+    variance_middle : (r,)
+        Variance of the midpoint across the line, from errors that also turn the line.
+    common_px2 : (r,)
+        Variance of a displacement of the line as a whole.
+    off_px2 : (r, 2)
+        Additional variance of each end.
+    sigma_along_px : (r, 2)
+        Standard deviation of each end along the line. The two ends are independent in this
+        direction.
+
+    Notes
+    -----
     For points spread evenly over the length L, the angle of a line has 12 / L^2 times the variance
-    of its middle. So each end has four times that variance across, and the ends have a correlation
-    of -1/2. A common shift, of variance `common_px2`, moves both ends alike. `off_px2` is an
-    independent variance of each end. Along the line the two ends are independent.
+    of its midpoint. Each end then has four times that variance, and the ends have a correlation of
+    -1/2.
     """
     normal = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
     across = normal[:, :, None] * normal[:, None, :]

@@ -21,34 +21,34 @@ _LEAST_SHARPNESS = 0.01  # numerical: a guard of a division
 
 
 class FittedLines(NamedTuple):
-    """Lines through runs of edge points, in the order of the runs.
+    """Lines fitted to runs of edge points, one line for each run.
 
     Attributes
     ----------
     centre_px : (r, 2)
         Weighted mean of the points.
     direction : (r, 2)
-        Unit vector, with the darker side on the right.
+        Unit vector along the line, with the darker side on the right.
     extent_px : (r, 2)
         Positions of the first and the last point along the line, from the centre.
     contrast : (r,)
         Mean height of the step, grey levels.
     light_per_level : (r,)
-        Mean ratio of the slope of the light to that of the grey levels.
+        Mean gradient of the light over gradient of the grey levels.
     blur_px2 : (r,)
         Mean variance of the edge's blur.
     kernel_variance_px2 : (r,)
         Mean variance of the smoothing by the kernel.
     variance_middle_px2 : (r,)
-        Variance by noise of the line's middle across it.
+        Variance of the line's midpoint across the line, due to noise.
     residual_px : (r,)
         Root mean square distance of the points from the line.
     sagitta_px : (r,)
-        Largest deviation of a parabola through the points from its chord, signed.
+        Bow of the points: signed height of the best parabola over its chord.
     support : (r,)
         Number of points.
     snr2 : (r,)
-        Sum of the points' evidence.
+        Sum of `EdgePoints.snr2` over the points.
     """
 
     centre_px: Float[np.ndarray, "r 2"]
@@ -66,15 +66,15 @@ class FittedLines(NamedTuple):
 
     @property
     def pieces(self) -> Pieces:
-        """Piece of each line from its first to its last point."""
+        """The part of each line from its first to its last point."""
         return Pieces(self.centre_px, self.direction, self.extent_px)
 
 
 def fit_lines(runs: Runs, tuning: ScaleTuning = DEFAULT.scales) -> FittedLines:
-    """Fit a line to each run.
+    """Fit a line to each run of edge points.
 
     Points are weighted by their strength. A second pass reduces the weight of points far from the
-    first line, for example where a chain bends into a corner.
+    line of the first pass, for example where a chain bends at a corner.
     """
     points = runs.points
     origin, chord, x, y = _in_frames_of_chords(runs)
@@ -122,10 +122,15 @@ def fit_lines(runs: Runs, tuning: ScaleTuning = DEFAULT.scales) -> FittedLines:
 
 
 def _in_frames_of_chords(runs: Runs) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(origin, chord, x, y): points along and across the chord from the first to the last point.
+    """Convert the points to coordinates x along and y across the chord of their run.
 
-    Origin and chord are in double precision. Sums near the chord can then use single precision: a
-    line of 1,000 px is located to 1e-5 px.
+    The chord connects the first and the last point. Returns (origin, unit vector of the chord, x,
+    y).
+
+    Notes
+    -----
+    Origin and chord are in double precision. Sums of x and y can then use single precision: a line
+    of 1,000 px is located to 1e-5 px.
     """
     uv_px, first = runs.points.uv_px, runs.first
     origin = uv_px[first].astype(np.float64)
@@ -139,7 +144,7 @@ def _in_frames_of_chords(runs: Runs) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def _rotate_to_picture(xy: Float[np.ndarray, "r 2"], chord: Float[np.ndarray, "r 2"]) -> np.ndarray:
-    """Rotate vectors from the frames of chords to the image frame."""
+    """Rotate vectors from the frame of each chord (along, across) to the image."""
     u = xy[:, 0] * chord[:, 0] - xy[:, 1] * chord[:, 1]
     return np.stack([u, xy[:, 0] * chord[:, 1] + xy[:, 1] * chord[:, 0]], axis=-1)
 
@@ -150,7 +155,7 @@ def _fit_weighted_line(
     y: Float[np.ndarray, "m"],
     weight: Float[np.ndarray, "m"],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(centre, forward direction) of the line with the least weighted sum of squared distances."""
+    """Fit a line to each run by weighted total least squares. Returns (centre, direction)."""
     wx, wy = weight * x, weight * y
     total, sx, sy, sxx, sxy, syy = (
         runs.total(moment) for moment in (weight, wx, wy, wx * x, wx * y, wy * y)
@@ -169,9 +174,10 @@ def _bow(
     weight: Float[np.ndarray, "m"],
     total: Float[np.ndarray, "r"],
 ) -> Float[np.ndarray, "r"]:
-    """Height of the best parabola over its chord, signed, (r,) px.
+    """Return the signed height of the best parabola over its chord, (r,) px.
 
-    With t along the line, the part of t^2 orthogonal to 1 and t gives the sagitta.
+    `along` and `across` are the coordinates of the points. The height follows from the part of
+    along^2 that is orthogonal to 1 and along.
     """
     squared = along * along
     weighted = weight * squared
@@ -189,7 +195,9 @@ def _bow(
 def merge_collinear(
     runs: Runs, lines: FittedLines, tolerance_px: float, tuning: SegmentTuning = DEFAULT
 ) -> tuple[Runs, FittedLines]:
-    """(runs, lines) after joining collinear lines across small gaps."""
+    """Join collinear lines across small gaps, and fit the joined lines again. Returns (runs,
+    lines).
+    """
     successor = collinear_successors(lines, tolerance_px / 2, tuning.ends)
     line_order, begin = order_chains(successor)
     length = runs.count[line_order]
@@ -206,7 +214,7 @@ def refit_lines(
     changed: Bool[np.ndarray, "r"],
     tuning: ScaleTuning = DEFAULT.scales,
 ) -> FittedLines:
-    """Lines of the runs; those with `changed` points are fitted again."""
+    """Fit the runs in the mask `changed` again, and return all lines."""
     if changed.all() or not changed.any():
         return fit_lines(runs, tuning) if changed.any() else lines
     fields = [field.copy() for field in lines]
@@ -218,11 +226,11 @@ def refit_lines(
 def collinear_successors(
     lines: FittedLines, tolerance_px: float, tuning: EndpointTuning = DEFAULT.ends
 ) -> Int[np.ndarray, "r"]:
-    """Line that continues each line beyond a gap, (r,); -1 if there is none.
+    """Return the line that continues each line beyond a gap, (r,); -1 if there is none.
 
     Two lines continue each other if their dark sides are on the same side and the gap is at most
-    `gap_px`. Both inner ends must lie within `tolerance_px` of the chord of the outer ends. Each
-    line has at most one predecessor and one successor, the nearest.
+    `tuning.gap_px`. Both inner ends must lie within `tolerance_px` of the chord between the outer
+    ends. A line has at most one predecessor and one successor, the nearest ones.
     """
     successor = np.full(len(lines.support), -1, dtype=np.int64)
     ends = lines.pieces.ends_px

@@ -33,22 +33,23 @@ _MASKS = """
 
 
 class GradientKernel(NamedTuple):
-    """Kernel for the gradient along u and v, grey levels per px.
+    """Kernel for the gradient of an image along u and v, grey levels per px.
 
     The image is smoothed by (1, 2, 1) / 4 along both axes, then correlated with two masks.
 
     Attributes
     ----------
     masks : (2, 5, 5)
-        For correlation, not convolution.
+        Masks for u and for v, for correlation (not convolution).
     variance_px2 : float
-        Variance of the implied smoothing. The profile of a blurred step has this variance plus that
-        of the blur.
+        Variance of the smoothing. The variance of the gradient profile across a blurred step is
+        this variance plus the variance of the blur.
     noise_gain : float
-        Standard deviation of either response to white noise of unit deviation.
+        Standard deviation of each gradient component for white noise with standard deviation 1.
     slope_gain : float
-        Variance of the slope of the profile across a straight edge, averaged over a unit of length,
-        for white noise of unit deviation. It determines how far noise shifts an edge.
+        Variance of the slope of the gradient profile across a straight edge, for white noise with
+        standard deviation 1. The profile is averaged over a unit of the edge's length. This value
+        determines how far noise shifts an edge.
     """
 
     masks: Float[np.ndarray, "2 5 5"]
@@ -63,11 +64,11 @@ def nevatia_babu_masks() -> Float[np.ndarray, "6 5 5"]:
     Returns
     -------
     (6, 5, 5)
-        Masks at 0, 30, 60, 90, 120 and 150 degrees.
+        Masks for edges at 0, 30, 60, 90, 120 and 150 degrees.
 
     Notes
     -----
-    The scale differs between masks: the absolute sums of the published numbers are 2000 at 0 and 90
+    Each mask has its own scale. The absolute sums of the published numbers are 2000 at 0 and 90
     degrees, and 2204 at the oblique angles.
     """
     masks = np.array(
@@ -78,10 +79,11 @@ def nevatia_babu_masks() -> Float[np.ndarray, "6 5 5"]:
 
 
 def mask_gradient_directions() -> Float[np.ndarray, "6 2"]:
-    """Unit vectors (u, v), (6, 2), toward the brighter side of the edge that each mask detects.
+    """Return the unit vector (u, v) toward the brighter side of the edge that each mask detects,
+    (6, 2).
 
-    Edges have the nominal angles, measured from +u toward the top of the image. The published masks
-    are bright above the edge, but on its right at 90 degrees and beyond.
+    The angles of the edges are measured from +u toward the top of the image. The published masks
+    are bright above the edge for angles below 90 degrees, and bright on its right for the others.
     """
     edge = np.radians(MASK_ANGLES_DEG)
     bright_right = np.where(np.array(MASK_ANGLES_DEG) >= 90, 1.0, -1.0)
@@ -90,11 +92,11 @@ def mask_gradient_directions() -> Float[np.ndarray, "6 2"]:
 
 @functools.cache
 def combined_kernel() -> GradientKernel:
-    """The six masks combined into one vector kernel, with smoothing by (1, 2, 1) / 4.
+    """Combine the six masks to one gradient kernel, with smoothing by (1, 2, 1) / 4.
 
     The sum of the masks' responses, each times its direction, is a vector across the edge at any
-    angle. So directions are not quantised to 30 degrees, and six correlations become two. The
-    smoothing adds half a squared pixel of variance.
+    angle. Directions are therefore not quantised to 30 degrees, and two correlations replace six.
+    The smoothing adds a variance of 0.5 px^2.
     """
     masks = np.einsum("mij,mc->cij", nevatia_babu_masks(), mask_gradient_directions())
     # The response to a ramp of one grey level per pixel is one.
@@ -115,7 +117,9 @@ def _smooth_picture(grey: np.ndarray, depth: int) -> np.ndarray:
 
 
 class Gradient(NamedTuple):
-    """Gradient along u and v, grey levels per px, and its squared size, (h, w) each."""
+    """Gradient of an image along u and v, grey levels per px, and its squared magnitude, (h, w)
+    each.
+    """
 
     u: Float[np.ndarray, "h w"]
     v: Float[np.ndarray, "h w"]
@@ -123,7 +127,7 @@ class Gradient(NamedTuple):
 
 
 def correlate_gradient(grey: Float[np.ndarray, "h w"], kernel: GradientKernel) -> Gradient:
-    """Gradient of an image by both masks; outside the image, border pixels are replicated."""
+    """Compute the gradient of an image. Outside the image, border pixels are replicated."""
     # Smoothing followed by small masks costs half as much as one large kernel.
     smooth = _smooth_picture(grey, cv2.CV_32F)
     u, v = (

@@ -27,13 +27,15 @@ _LEAST_PULL = 0.002  # numerical: less than single precision and noise leave
 
 
 def find_near_lines(
-    lines: FittedLines, reach_px: float
+    lines: FittedLines, radius_px: float
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
-    """(one, other): all ordered pairs of different lines closer than about `reach_px`."""
+    """Return all ordered pairs of different lines closer than about `radius_px`, as two arrays
+    (p,).
+    """
     owner, samples = line_samples(lines.pieces, SAMPLE_PX)
     # The nearest points of two lines have samples within half a spacing. Their connection is
     # perpendicular to a line that does not end there, so the samples are at most this far apart.
-    radius = float(np.hypot(reach_px, SAMPLE_PX))
+    radius = float(np.hypot(radius_px, SAMPLE_PX))
     near_samples = point_tree(samples).query_pairs(radius, output_type="ndarray")
     one, other = owner[near_samples[:, 0]], owner[near_samples[:, 1]]
     different = one != other
@@ -45,15 +47,15 @@ def find_near_lines(
 
 
 class Overlaps(NamedTuple):
-    """Edge points near a line that they do not belong to.
+    """Pairs of an edge point and a line nearby that the point does not belong to.
 
     Attributes
     ----------
     point, line : (m,)
-        Indices of both.
+        Index of the point, and index of the line.
     along, across : (m,)
-        Position of the point's sample from the centre of the line, px. Across is positive on the
-        brighter side, on the left of the line's direction.
+        Position of the point's pixel relative to the centre of the line, px. `across` is positive
+        on the brighter side, the left of the line's direction.
     """
 
     point: Int[np.ndarray, "m"]
@@ -68,13 +70,14 @@ def find_overlaps(
     profile_variance_px2: float,
     tuning: ErrorTuning = DEFAULT.errors,
 ) -> Overlaps:
-    """Find all points near lines of other runs.
+    """List all pairs of an edge point and a line of another run nearby.
 
-    `profile_variance_px2` is the variance of a typical edge profile; it defines the distance.
+    The distance is a number of standard deviations of a typical edge profile, whose variance is
+    `profile_variance_px2`.
     """
     points = runs.points
-    reach_px = tuning.reach_widths * float(np.sqrt(profile_variance_px2))
-    one, other = find_near_lines(lines, reach_px)
+    radius_px = tuning.reach_widths * float(np.sqrt(profile_variance_px2))
+    one, other = find_near_lines(lines, radius_px)
     pair, point = expand_ranges(runs.first[one], (runs.first + runs.count)[one])
     # Most points of a line are far from the other one, so the cheap test comes first.
     centre_u, centre_v = lines.centre_px.astype(np.float32)[other].T
@@ -82,11 +85,11 @@ def find_overlaps(
     offset_u = np.take(points.sample_px[:, 0], point) - np.take(centre_u, pair)
     offset_v = np.take(points.sample_px[:, 1], point) - np.take(centre_v, pair)
     across = offset_u * np.take(direction_v, pair) - offset_v * np.take(direction_u, pair)
-    near_rows = np.flatnonzero(np.abs(across) < reach_px)
+    near_rows = np.flatnonzero(np.abs(across) < radius_px)
     pair = pair[near_rows]
     along = offset_u[near_rows] * direction_u[pair] + offset_v[near_rows] * direction_v[pair]
     before, after = lines.extent_px.astype(np.float32)[other].T
-    is_alongside = (along > before[pair] - reach_px) & (along < after[pair] + reach_px)
+    is_alongside = (along > before[pair] - radius_px) & (along < after[pair] + radius_px)
     near_rows, pair = near_rows[is_alongside], pair[is_alongside]
     return Overlaps(point[near_rows], other[pair], along[is_alongside], across[near_rows])
 
@@ -97,10 +100,11 @@ def without_neighbours(
     blur_px2: float,
     overlaps: Overlaps,
 ) -> EdgePoints:
-    """Subtract neighbouring lines from the profiles of edge points and locate the points again.
+    """Correct edge points for the gradient of neighbouring lines, and locate the points again.
 
-    `blur_px2` is the variance of the blur of the image's edges. Points whose profile is mostly a
-    neighbour's get almost no weight.
+    The gradient of each neighbour is subtracted from the profile of the point. `blur_px2` is the
+    typical blur variance of edges. A point gets almost no weight if its profile is mostly that of a
+    neighbour.
     """
     point, line, along, across = overlaps
     if len(point) == 0:

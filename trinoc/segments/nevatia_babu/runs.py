@@ -25,12 +25,15 @@ _TRIMMED_POINTS = 1  # numerical: an index
 
 
 def full_level(picture: Light, kernel: GradientKernel) -> PyramidLevel:
-    """Level of the full resolution."""
+    """Return the image at full resolution, with its noise."""
     return _level(picture, 1.0, kernel)
 
 
 def half_level(fine: PyramidLevel) -> PyramidLevel:
-    """Level of half resolution: means of two by two pixels, without an odd last row or column."""
+    """Return the image at half resolution: means of two by two pixels.
+
+    An odd last row or column is dropped.
+    """
     picture = fine.picture
     levels = _halve_picture(picture.levels)
     light = levels if picture.is_linear else _halve_picture(picture.light)
@@ -66,11 +69,11 @@ def find_runs(
     least_contrast: float,
     tuning: ScaleTuning = DEFAULT.scales,
 ) -> Runs:
-    """Straight runs of both levels, each from the level that suits it.
+    """Detect straight runs of edge points at full and at half resolution.
 
-    Runs that are clear at full resolution are taken from there. Elsewhere the half resolution is
-    searched. Faint runs of the full resolution remain where the half resolution has none. If noise
-    is so low that all runs are clear, the half resolution is skipped.
+    Runs with little noise at full resolution are kept. Elsewhere, the half resolution is searched.
+    Noisy runs of the full resolution remain if no run of the half resolution replaces them. If no
+    run is noisy, the half resolution is not searched.
     """
     least_fine = _least_strength(fine, least_contrast, tuning)
     runs = _runs_of_level(fine, least_fine, tolerance_px, tuning.least_fine)
@@ -90,7 +93,11 @@ def find_runs(
 
 
 def _least_strength(level: PyramidLevel, least_contrast: float, tuning: ScaleTuning) -> float:
-    """Smallest strength of a point: above noise, and that of a step with the least contrast."""
+    """Return the smallest gradient of an edge point, grey levels per px.
+
+    The value exceeds noise, and is at least a share of the gradient of a step with the smallest
+    contrast.
+    """
     faint = least_contrast / np.sqrt(2 * np.pi * (level.kernel_variance_px2 + 1.0))
     return max(tuning.threshold * level.sigma_strength, tuning.faint_share * float(faint))
 
@@ -102,20 +109,20 @@ def _runs_of_level(
     least_points: int,
     excluded: Bool[np.ndarray, "h w"] | None = None,
 ) -> Runs:
-    """Runs of one level: masks, thinning, linking, polygons.
+    """Detect straight runs of edge points at one resolution.
 
     Parameters
     ----------
     level : PyramidLevel
-        The level.
+        Image at this resolution.
     least_strength : float
-        Smallest strength of a point, grey levels per px of the full image.
+        Smallest gradient of a point, grey levels per px of the full image.
     tolerance_px : float
         Largest deviation of a run from its chord.
     least_points : int
         Smallest number of points of a run.
     excluded : (h, w), optional
-        Pixels to skip.
+        Mask of pixels to skip.
     """
     levels, light = level.picture.levels, level.picture.light
     pixels = thin_pixels(levels, level.kernel, least_strength * level.spacing_px, excluded)
@@ -131,14 +138,16 @@ def _runs_of_level(
 
 
 def _half_pixel(points: EdgePoints, half: PyramidLevel) -> Int[np.ndarray, "n"]:
-    """Index, in the flattened half image, of the pixel of each point."""
+    """Return the pixel of the half-resolution image at each point, as an index of the flattened
+    image.
+    """
     width, height = half.picture.size_px
     column, row = (points.sample_px // 2).astype(np.int64).T
     return np.minimum(row, height - 1) * width + np.minimum(column, width - 1)
 
 
 def _neighbourhood(pixel: Int[np.ndarray, "n"], shape: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
-    """Mask of pixels and their eight neighbours, (h, w)."""
+    """Return the mask of the given pixels and their eight neighbours, (h, w)."""
     mark = np.zeros(shape, dtype=np.uint8)
     mark.ravel()[pixel] = 1
     return cv2.dilate(mark, np.ones((3, 3), np.uint8)).view(bool)

@@ -24,25 +24,25 @@ from trinoc.segments.tuning import DEFAULT, SaturationTuning
 
 _BIN_PX = 0.25  # numerical: samples of a profile
 # Half width of the profile, and of the part that measures the blur.
-_REACH_PX, _CLEAR_REACH_PX = 9, 4.0  # numerical: size of a sample
+_HALF_WIDTH_PX, _CLEAR_HALF_WIDTH_PX = 9, 4.0  # numerical: size of a sample
 _LEAST_BINS = 5  # numerical: one more than the unknowns
 # Number of longest edges without saturation that measure the blur.
 _REFERENCES = 40  # numerical: size of a sample
 
 
 class Profiles(NamedTuple):
-    """Mean levels across some lines, in bins.
+    """Mean grey-level profiles across s lines, in b bins of the distance from the line.
 
     Attributes
     ----------
     across_px : (s, b)
-        Mean distance from the line of the pixels in each bin, toward the bright side.
+        Mean distance of the pixels in each bin from the line, positive toward the bright side.
     level : (s, b)
-        Mean level.
+        Mean level of these pixels.
     count : (s, b)
-        Number of pixels.
+        Number of these pixels.
     noise : (s,)
-        Standard deviation of one pixel.
+        Standard deviation of the level of one pixel.
     """
 
     across_px: Float[np.ndarray, "s b"]
@@ -53,7 +53,10 @@ class Profiles(NamedTuple):
     def information(
         self, used: Bool[np.ndarray, "s b"], height: Float[np.ndarray, "s"], misfit: float
     ) -> Float[np.ndarray, "s b"]:
-        """Inverse variance of each level, (s, b), for steps of these heights; 0 if not `used`."""
+        """Return the inverse variance of each mean level, (s, b); 0 for bins that are not `used`.
+
+        `height` is the height of each step. `misfit` is the model error as a share of the height.
+        """
         noise_variance = self.noise[:, None] ** 2 / np.maximum(self.count, 1)
         return np.where(used, 1 / (noise_variance + np.square(misfit * height[:, None])), 0.0)
 
@@ -65,29 +68,37 @@ def shifts_of_saturated(
     error_model: ErrorModel,
     tuning: SaturationTuning = DEFAULT.saturation,
 ) -> Shifts:
-    """Corrections of the lines with mostly saturated points; zero for the others."""
+    """Compute the position corrections of lines whose bright side is mostly saturated.
+
+    The corrections of other lines are 0.
+    """
     picture = fine.picture
     shift, variance = np.zeros(len(lines.support)), np.zeros(len(lines.support))
-    chosen = error_model.saturated > 0.5
-    if not chosen.any():
+    is_saturated = error_model.saturated > 0.5
+    if not is_saturated.any():
         return Shifts(shift, variance)
     noise_of_light = fine.noise_sigma * lines.light_per_level
     rise = lines.contrast * lines.light_per_level
     clear = (error_model.saturated == 0) & (error_model.crowded < tuning.most_crowded)
     clear = np.flatnonzero(clear & (rise > tuning.clear_contrast * noise_of_light))
     longest = clear[np.argsort(-lines.support[clear], kind="stable")[:_REFERENCES]]
-    references = np.zeros(len(chosen), dtype=bool)
+    references = np.zeros(len(is_saturated), dtype=bool)
     references[longest] = True
     blur = _blur_of_clear(
         _mean_profiles(picture, noise_of_light, runs, lines, references), rise[references], tuning
     )
-    profiles = _mean_profiles(picture, noise_of_light, runs, lines, chosen)
-    shift[chosen], variance[chosen] = _fit_positions(profiles, picture.light_of_white, blur, tuning)
+    profiles = _mean_profiles(picture, noise_of_light, runs, lines, is_saturated)
+    shift[is_saturated], variance[is_saturated] = _fit_positions(
+        profiles, picture.light_of_white, blur, tuning
+    )
     return Shifts(shift, variance)
 
 
 class BlurPrior(NamedTuple):
-    """Prior of the blur of an image's edges, pixel included: log of the width and its sigma."""
+    """Prior of the logarithm of the edges' blur width, px: mean and standard deviation.
+
+    The width includes the blur by the pixel.
+    """
 
     log_width: float
     sigma: float
@@ -96,12 +107,15 @@ class BlurPrior(NamedTuple):
 def _blur_of_clear(
     profiles: Profiles, rise: Float[np.ndarray, "s"], tuning: SaturationTuning
 ) -> BlurPrior:
-    """Blur prior from clear edges without saturation: median and spread."""
+    """Estimate the blur prior from unsaturated edges: median and spread of their blur widths.
+
+    `rise` is the height of each step. With few edges, the prior is a constant.
+    """
     unknown = BlurPrior(float(np.log(tuning.unknown_blur_px)), tuning.unknown_spread)
     if len(rise) < tuning.least_edges:
         return unknown
     across, level, count, _ = profiles
-    used = (count > 0) & (np.abs(across) < _CLEAR_REACH_PX)
+    used = (count > 0) & (np.abs(across) < _CLEAR_HALF_WIDTH_PX)
     start = np.zeros((len(rise), 4))
     start[:, 2] = np.where(used, level, np.inf).min(axis=1)
     start[:, 3] = unknown.log_width
@@ -117,21 +131,21 @@ def _mean_profiles(
     noise: Float[np.ndarray, "r"],
     runs: Runs,
     lines: FittedLines,
-    chosen: Bool[np.ndarray, "r"],
+    selected: Bool[np.ndarray, "r"],
 ) -> Profiles:
-    """Mean profiles of the chosen lines.
+    """Compute the mean grey-level profiles of the selected lines.
 
-    The pixels come from the image row or column that crosses the edge at each point.
+    At each point, the profile consists of pixels of the image row or column that crosses the edge.
     """
-    chosen_runs, lines = runs.take(chosen), take_rows(lines, chosen)
-    line = chosen_runs.spread(np.arange(len(lines.support)))
-    middle_pixel = np.rint(chosen_runs.points.sample_px).astype(np.int64)
-    pixels = list_pixels_across(middle_pixel, chosen_runs.points.along_u, _REACH_PX)
+    selected_runs, lines = runs.take(selected), take_rows(lines, selected)
+    line = selected_runs.spread(np.arange(len(lines.support)))
+    middle_pixel = np.rint(selected_runs.points.sample_px).astype(np.int64)
+    pixels = list_pixels_across(middle_pixel, selected_runs.points.along_u, _HALF_WIDTH_PX)
     level, inside = take_levels(picture.light, pixels)
     direction = lines.direction[line]
     offset_u, offset_v = np.moveaxis(pixels - lines.centre_px[line][:, None], -1, 0)
     across = offset_u * direction[:, 1:] - offset_v * direction[:, :1]
-    half = round(_REACH_PX / _BIN_PX)
+    half = round(_HALF_WIDTH_PX / _BIN_PX)
     bin_index = np.rint(across / _BIN_PX).astype(np.int64) + half
     inside &= (bin_index >= 0) & (bin_index <= 2 * half)
     bins = 2 * half + 1
@@ -140,13 +154,17 @@ def _mean_profiles(
     count = np.bincount(key, minlength=size)
     sums = (np.bincount(key, values[inside], minlength=size) for values in (across, level))
     mean_across, mean_level = ((total / np.maximum(count, 1)).reshape(-1, bins) for total in sums)
-    return Profiles(mean_across, mean_level, count.reshape(-1, bins), noise[chosen])
+    return Profiles(mean_across, mean_level, count.reshape(-1, bins), noise[selected])
 
 
 def _fit_positions(
     profiles: Profiles, white: float, blur: BlurPrior, tuning: SaturationTuning
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(position, variance) of blurred steps across the lines, from their levels below white."""
+    """Fit a blurred step to the unsaturated part of each profile.
+
+    Returns the position of the step across the line, (s,) px, and its variance. `white` is the
+    saturation level.
+    """
     across, level, count, noise = profiles
     width = np.exp(blur.log_width)
     has_pixels = count > 0

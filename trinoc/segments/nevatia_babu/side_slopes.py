@@ -22,14 +22,14 @@ _BOX_PX = 3  # numerical: smallest box about a pixel
 
 
 class Shifts(NamedTuple):
-    """Corrections of line positions.
+    """Corrections of the positions of lines.
 
     Attributes
     ----------
     shift_px : (r,)
-        Displacement toward the brighter side.
+        Displacement of the line toward the brighter side.
     variance_px2 : (r,)
-        Variance of the displacement, common to both ends.
+        Variance of the displacement, which is equal for both ends.
     """
 
     shift_px: Float[np.ndarray, "r"]
@@ -37,14 +37,16 @@ class Shifts(NamedTuple):
 
 
 class SideSlopes(NamedTuple):
-    """Mean slopes of the light toward the bright side of each line, grey levels per px.
+    """Mean slopes of grey levels or light on and beside each line, grey levels per px.
+
+    Slopes are positive toward the bright side of the line.
 
     Attributes
     ----------
     dark, bright : (r,)
-        Beside the line, on the dark and on the bright side.
+        Slope on the dark side and on the bright side, beyond the blur of the edge.
     line : (r,)
-        On the line itself.
+        Slope on the line itself.
     """
 
     dark: Float[np.ndarray, "r"]
@@ -58,7 +60,10 @@ def side_slopes(
     usual_blur_px2: float,
     tuning: AcceptTuning = DEFAULT.accept,
 ) -> SideSlopes:
-    """Measure the slopes of grey levels or light beside the lines of runs."""
+    """Measure the mean slope of the image on both sides of each line.
+
+    `usual_blur_px2` is the typical blur variance of edges.
+    """
     points = runs.points
     smooth = cv2.blur(grey, (_BOX_PX, _BOX_PX), borderType=cv2.BORDER_REPLICATE)
     inner_px = np.float32(tuning.beside_widths) * np.sqrt(
@@ -81,9 +86,10 @@ def side_slopes(
 
 
 def is_on_ramp(slopes: SideSlopes, tuning: AcceptTuning = DEFAULT.accept) -> Bool[np.ndarray, "r"]:
-    """Mask of the lines on an intensity ramp: both side slopes exceed a share of the line's slope.
+    """Return the mask of the lines on an intensity ramp, (r,).
 
-    Both sides are tested, because another edge beside an edge of the scene makes one side steep.
+    On a ramp, the slopes on both sides exceed a share of the slope on the line. Both sides are
+    tested, because another edge nearby makes one side of a real edge steep.
     """
     return np.minimum(slopes.dark, slopes.bright) > tuning.ramp_slope * slopes.line
 
@@ -94,23 +100,25 @@ def shading_shifts(
     crowded: Float[np.ndarray, "r"],
     tuning: ErrorTuning = DEFAULT.errors,
 ) -> Shifts:
-    """Corrections of lines shifted by shading, with the remaining variance.
+    """Compute the position corrections of lines shifted by shading, with their variance.
 
     Parameters
     ----------
     slopes : SideSlopes
-        Slopes of the light in which the lines were located.
+        Slopes of the light.
     lines : FittedLines
-        Lines of the slopes.
+        The lines.
     crowded : (r,)
-        Share of each line's points with another line nearby, whose step would count as a slope.
+        Share of each line's points with another line nearby. The step of that line would be
+        mistaken for a slope.
     tuning : ErrorTuning
-        Shares and limit.
+        Share of the shift to correct, and its upper limit.
 
     Notes
     -----
-    The slopes at the line itself are hidden by the step. So only a share of the shift predicted
-    from both sides is corrected, and the same share of the slopes' size counts as error.
+    The step hides the slope at the line itself. Only a share of the shift predicted from the
+    difference of the slopes on both sides is therefore corrected. The sigma of the correction is
+    the same share of the shift that the sum of both slopes would cause.
     """
     profile_px2 = lines.kernel_variance_px2 + np.maximum(lines.blur_px2, 0.0)
     per_slope = profile_px2 / np.maximum(lines.contrast * lines.light_per_level, 1e-6)

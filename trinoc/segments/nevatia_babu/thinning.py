@@ -20,18 +20,19 @@ _STRIP_PX, _HALO_PX = 1 << 17, 3  # numerical: size of a block
 
 
 class ThinnedPixels(NamedTuple):
-    """Pixels on edges; lengths are in pixels of their level.
+    """Pixels whose gradient is a maximum across an edge; lengths are in pixels of their resolution.
 
     Attributes
     ----------
     pixel : (n,)
         Index of the pixel in the flattened image.
     gradient : (n, 2)
-        Gradient toward the brighter side, grey levels per px.
+        Gradient (u, v), toward the brighter side, grey levels per px.
     along_u : (n,)
-        True if u is the axis nearer to the gradient, False for v.
+        True if the gradient is nearer to the u axis, False for the v axis.
     profile : (n, 3)
-        Gradient along the pixel's direction at the pixel before, at and after it along that axis.
+        Gradients at the pixel before, at the pixel, and at the pixel after it along that axis. All
+        three are projected on the direction of the gradient at the pixel.
     uv_px : (n, 2)
         Sub-pixel peak of the profile.
     """
@@ -43,7 +44,7 @@ class ThinnedPixels(NamedTuple):
     uv_px: Float[np.ndarray, "n 2"]
 
     def take(self, which: np.ndarray) -> "ThinnedPixels":
-        """Pixels at the given indices, in that order."""
+        """Return the pixels with the given indices."""
         return ThinnedPixels(*(np.take(field, which, axis=0) for field in self))
 
     @property
@@ -58,10 +59,10 @@ def thin_pixels(
     least_strength: float,
     excluded: Bool[np.ndarray, "h w"] | None = None,
 ) -> ThinnedPixels:
-    """Pixels whose gradient is at least `least_strength` and a maximum across the edge.
+    """Return the pixels whose gradient is at least `least_strength` and a maximum across the edge.
 
-    Neighbours are compared along the image axis nearer to the gradient, where samples need no
-    interpolation. Pixels that are `excluded` are skipped.
+    A pixel is compared with its two neighbours along the image axis nearer to its gradient, so that
+    no interpolation is needed. Pixels in the mask `excluded` are skipped.
     """
     height, width = grey.shape
     # Strip by strip, so that the data stay in the processor's cache.
@@ -85,9 +86,9 @@ def _peaks(
     least_strength: float,
     free: Bool[np.ndarray, "_h w"] | None,
 ) -> ThinnedPixels:
-    """Thinned pixels of a strip of the image that begins at row `top`.
+    """Return the thinned pixels of a strip of the image that begins at row `top`.
 
-    The gradient has one more row on either side.
+    `gradient` has one more row above and below the strip. `free` is the mask of pixels to use.
     """
     width = gradient.u.shape[1]
     strong = gradient.squared > np.float32(least_strength**2)
@@ -120,9 +121,10 @@ def _peaks(
 
 
 def sample_profiles(gradient: Gradient, pixels: ThinnedPixels) -> Float[np.ndarray, "n 5"]:
-    """Gradient of another image across the same edges, along each pixel's direction, (n, 5).
+    """Sample the gradient of another image at five pixels across each edge, (n, 5).
 
-    The samples are at the pixel, the two before and the two after it.
+    The samples are at the pixel, two before and two after it. Gradients are projected on the
+    direction of the pixel's gradient.
     """
     normal = pixels.gradient / pixels.profile[:, 1:2]
     step = np.where(pixels.along_u, 1, gradient.u.shape[1])
