@@ -30,10 +30,10 @@ POSE_NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")
 
 
 class Camera(Value):
-    """A calibrated camera. Pan, tilt, swing, distance and aim are derived from the pose.
+    """A calibrated camera: a lens with image size, and a pose.
 
-    Constructors and properties return NumPy values in float64, or traced values under `jit`, `grad`
-    and `vmap`.
+    Pan, tilt, swing, distance and aim are computed from the pose. Values are NumPy, float64. Inside
+    JAX's `jit`, `grad` and `vmap` they are traced values, which have no numbers yet.
 
     Attributes
     ----------
@@ -67,18 +67,22 @@ class Camera(Value):
         distance_mm: ScalarLike,
         aim_mm: Sequence[ScalarLike] | Float[ArrayLike, "2"] = (0.0, 0.0),
     ) -> "Camera":
-        """Create a camera from the method's pose parameters.
+        """Create a camera from pan, tilt, swing, distance and aim.
 
         Parameters
         ----------
         intrinsics : Intrinsics
             Lens and image size.
-        pan_deg, tilt_deg, swing_deg : float
-            Angles in degrees, as docs/conventions.md defines them.
+        pan_deg : float
+            Azimuth of the camera, degrees, from -Y toward +X.
+        tilt_deg : float
+            Elevation of the camera above the sheet Z = 0, degrees.
+        swing_deg : float
+            Rotation about the optical axis, degrees, of the image's x toward its y.
         distance_mm : float
             Distance from the aim to the centre of projection.
         aim_mm : (2,)
-            Intersection of the optical axis with the sheet Z = 0.
+            Intersection (X, Y) of the optical axis with the sheet.
 
         Returns
         -------
@@ -87,7 +91,7 @@ class Camera(Value):
         Raises
         ------
         InputError
-            If a parameter is not one number, or `aim_mm` is not two.
+            If a parameter is not one number, or `aim_mm` is not two numbers.
         """
         angles = (pan_deg, tilt_deg, swing_deg, distance_mm)
         if not is_traced(angles, aim_mm):
@@ -111,7 +115,8 @@ class Camera(Value):
         Parameters
         ----------
         projection_px : (3, 4)
-            Projection matrix to pixels. It defines unit and origin of the world.
+            Projection matrix, from world coordinates to pixels. Its unit and origin of the world
+            become those of the camera.
         image_size_px : (width, height)
             Size of the images.
 
@@ -228,9 +233,9 @@ class Camera(Value):
 
 
 def projection_matrix(camera: Camera) -> Float[ArrayLike, "3 4"]:
-    """Projection matrix K [R | t] (3, 4), in the precision of the camera, for inner functions.
+    """Projection matrix K [R | t] (3, 4), in the camera's own precision, float32 or float64.
 
-    `Camera.matrix_px` is the same in NumPy float64.
+    For use under `jit`. `Camera.matrix_px` is the same matrix in float64.
     """
     return camera.intrinsics.lens.matrix @ camera.cam_from_world
 
@@ -241,7 +246,7 @@ def project(camera: Camera, point_world_mm: Float[ArrayLike, "3"]) -> Float[Arra
     Parameters
     ----------
     camera : Camera
-        Camera; may be traced.
+        Camera; may be a traced value of `jit` or `grad`.
     point_world_mm : (3,)
         Point in the world frame.
 
@@ -249,7 +254,7 @@ def project(camera: Camera, point_world_mm: Float[ArrayLike, "3"]) -> Float[Arra
     -------
     (2,)
         Pixel (u, v). NaN beyond the fold of the lens (`Intrinsics.valid_radius_px`), unless the
-        camera is traced. Meaningless if `depth_mm` is not positive.
+        camera is traced. Meaningless for a point behind the camera (`depth_mm` not positive).
     """
     uv_px = project_point(camera.pose, camera.intrinsics.lens, point_world_mm)
     return mask_folded(camera.pose, camera.intrinsics.lens, point_world_mm, uv_px)
@@ -271,14 +276,14 @@ def sheet_from_pixel(camera: Camera, uv_px: Float[ArrayLike, "2"]) -> Float[Arra
     Parameters
     ----------
     camera : Camera
-        Camera; may be traced.
+        Camera; may be a traced value of `jit` or `grad`.
     uv_px : (2,)
         Pixel (u, v), lens distortion included.
 
     Returns
     -------
     (2,)
-        (X, Y) in mm; NaN beyond the fold of the lens, as in `project`.
+        (X, Y) in mm. NaN beyond the fold of the lens, unless the camera is traced.
     """
     centre, direction = camera.pose.centre_world_mm, viewing_direction(camera, uv_px)
     point_mm = (centre - centre[2] / direction[2] * direction)[:2]
@@ -298,7 +303,10 @@ def _parameters_deg(pose: Pose) -> Float[ArrayLike, "6"]:
 
 
 def _rq_decomposition(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Factors of a 3x3 matrix: upper triangular with positive diagonal, and orthogonal."""
+    """RQ decomposition of a (3, 3) matrix: (upper triangular K, orthogonal R).
+
+    The diagonal of K is positive.
+    """
     upper, rotation = scipy.linalg.rq(matrix)
     signs = np.diag(np.sign(np.diag(upper)))
     return upper @ signs, signs @ rotation

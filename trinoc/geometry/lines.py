@@ -35,26 +35,29 @@ def line_through(
 def signed_distance(
     line: Float[ArrayLike, "3"], point: Float[ArrayLike, "2"]
 ) -> Float[ArrayLike, ""]:
-    """Distance of a point from a line with unit normal, px; the sign gives the side."""
+    """Signed distance of an image point from a line with unit normal, px.
+
+    The distance is positive on the right of the line of `line_through`, as displayed (v down).
+    """
     return line[:2] @ point + line[2]
 
 
 def plane_of_line(
     matrix_px: Float[ArrayLike, "3 4"], line: Float[ArrayLike, "3"]
 ) -> Float[ArrayLike, "4"]:
-    """Plane through the camera centre and an image line, P^T l, (4,).
+    """Plane P^T l (4,) through the camera centre and a line of the image.
 
     Parameters
     ----------
     matrix_px : (3, 4)
-        Projection matrix of the camera.
+        Projection matrix P of the camera.
     line : (3,)
-        Line in undistorted pixels.
+        Line l in undistorted pixels.
 
     Returns
     -------
     (4,)
-        Plane (n, d) with n . X + d = 0, not normalised.
+        Plane (n, d) with n . X + d = 0 in the world frame; n is not normalised.
 
     References
     ----------
@@ -66,9 +69,9 @@ def plane_of_line(
 def line_of_planes(
     first: Float[ArrayLike, "4"], second: Float[ArrayLike, "4"]
 ) -> tuple[Float[ArrayLike, "3"], Float[ArrayLike, "3"]]:
-    """(point, unit direction) of the intersection of two planes; NaN for parallel planes.
+    """Intersection of two planes (n, d): (point (3,), unit direction (3,)).
 
-    The point is the point of the line nearest to the origin.
+    The point is the point of the line nearest to the origin. NaN for parallel planes.
     """
     direction = jnp.cross(first[:3], second[:3])
     squared = direction @ direction
