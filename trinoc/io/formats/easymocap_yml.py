@@ -40,7 +40,7 @@ KEYS = Keys(read=("K", "dist", "D", "H", "W", "R", "Rot", "T"))
 
 
 def write_easymocap(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write both files."""
+    """Write intri.yml and extri.yml into the folder `path`; translations in units of `unit_mm`."""
     intrinsic: dict[str, Any] = {"names": list(rig.names)}
     extrinsic: dict[str, Any] = {"names": list(rig.names)}
     for name, camera in rig.items():
@@ -64,7 +64,7 @@ def write_easymocap(rig: Rig, path: Path, unit_mm: float) -> None:
 
 
 def read_easymocap(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
-    """The cameras that both files name."""
+    """Read the cameras of intri.yml and their poses in extri.yml."""
     for file in (INTRINSIC, EXTRINSIC):
         if not (path / file).is_file():
             raise InputError(f"{path} holds no {file}: give a folder of EasyMocap's two files.")
@@ -91,7 +91,7 @@ def read_easymocap(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
 
 
 def _by_camera(path: Path) -> dict[str, Block]:
-    """The keys of each camera, without its name at their ends."""
+    """Read a file as one `Block` for each camera; "K_left" becomes the key "K" of "left"."""
     document = read_storage(path)
     listed = document.values.get("names")
     if not isinstance(listed, list) or not listed:

@@ -17,7 +17,7 @@ HALF_PX = 0.5
 
 
 def write_limap(matches: Matches, path: Path, unit_mm: float) -> None:
-    """Write a file for each track."""
+    """Write one text file for each track into the folder `path`; lengths in units of `unit_mm`."""
     with atomic_folder(path) as folder:
         for track, ends in enumerate(matches.lines_mm / unit_mm):
             images = np.flatnonzero(matches.index[track] >= 0)

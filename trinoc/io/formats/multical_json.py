@@ -41,7 +41,7 @@ POSE_KEYS = Keys(read=("R", "T"))
 
 
 def write_multical(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write the lenses and the poses, each from the world."""
+    """Write lenses and poses; every pose is relative to the world, in units of `unit_mm`."""
     cameras, poses = {}, {}
     for name, camera in rig.items():
         if TO in name:
@@ -63,7 +63,10 @@ def write_multical(rig: Rig, path: Path, unit_mm: float) -> None:
 
 
 def read_multical(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
-    """The cameras that have a pose, from the world or from a camera that is at its origin."""
+    """Read the cameras and their poses.
+
+    A pose may be relative to another camera only if that camera is at the world origin.
+    """
     document = read_json(path)
     if "camera_poses" not in document.values:
         raise document.error(
