@@ -51,7 +51,7 @@ class CalibrationError(TrinocError):
 
 
 class MatchError(TrinocError):
-    """Segments cannot be matched with these segments or this rig."""
+    """The segments or the rig do not allow matching."""
 
 
 def list_names(names: Iterable[str], most: int = MOST_NAMES) -> str:

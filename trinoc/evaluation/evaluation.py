@@ -114,7 +114,7 @@ class Evaluation(Displayable, Value):
     motion: RigidMotion | None
 
     def record(self) -> dict[str, Any]:
-        """All numbers, keyed by name, as one row of a table; NaN if undefined."""
+        """All numbers of the evaluation, keyed by name, as one row of a table; NaN if undefined."""
         shares = {
             f"{name}_{tolerance:g}mm": share
             for name in ("precision", "completeness")

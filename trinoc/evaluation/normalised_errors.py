@@ -32,7 +32,8 @@ class NormalisedErrors(NamedTuple):
     share_within : float
         Share of the errors within 1.96 sigma; 0.95 if the covariance is right.
     share_of_lines : float
-        Share of lines with a chi-square below its 95 % quantile; 0.95 if the covariance is right.
+        Share of lines whose chi-square is below the 95 % quantile of its distribution; 0.95 if the
+        covariance is right.
     """
 
     lines: int

@@ -74,11 +74,12 @@ class Camera(Value):
         intrinsics : Intrinsics
             Lens and image size.
         pan_deg : float
-            Azimuth of the camera, degrees, from -Y toward +X.
+            Azimuth of the camera seen from the aim, degrees: 0 on the -Y side, 90 on the +X side.
         tilt_deg : float
-            Elevation of the camera above the sheet Z = 0, degrees.
+            Elevation of the camera above the sheet Z = 0, seen from the aim, degrees.
         swing_deg : float
-            Rotation about the optical axis, degrees, of the image's x toward its y.
+            Rotation of the camera about its optical axis, degrees, from its x axis toward its y
+            axis.
         distance_mm : float
             Distance from the aim to the centre of projection.
         aim_mm : (2,)
@@ -158,7 +159,7 @@ class Camera(Value):
 
     @property
     def cam_from_world(self) -> Float[ArrayLike, "3 4"]:
-        """Pose [R | t] (3, 4), world (mm) to camera frame (x right, y down, z forward)."""
+        """Pose [R | t] (3, 4) with x_cam = R X + t, mm. Camera axes: x right, y down, z forward."""
         return self.pose.cam_from_world
 
     @property
@@ -168,37 +169,40 @@ class Camera(Value):
 
     @property
     def matrix_px(self) -> Float[NumpyOrTraced, "3 4"]:
-        """Projection matrix K [R | t] (3, 4), without lens distortion."""
+        """Projection matrix K [R | t] (3, 4) from the world to pixels, without lens distortion."""
         return _projection(self)
 
     @property
     def centre_world_mm(self) -> Float[NumpyOrTraced, "3"]:
-        """Centre of projection in the world frame, (3,)."""
+        """Centre of projection in the world frame, (3,) mm."""
         return _centre_world_mm(self.pose)
 
     @property
     def pan_deg(self) -> FloatOrTraced:
-        """Azimuth of the camera, degrees, from -Y toward +X."""
+        """Azimuth of the camera seen from the aim, degrees: 0 on the -Y side, 90 on the +X side."""
         return as_float(_parameters_deg(self.pose)[0])
 
     @property
     def tilt_deg(self) -> FloatOrTraced:
-        """Elevation of the camera above the plane Z = 0, degrees."""
+        """Elevation of the camera above the sheet Z = 0, seen from the aim, degrees."""
         return as_float(_parameters_deg(self.pose)[1])
 
     @property
     def swing_deg(self) -> FloatOrTraced:
-        """Rotation about the optical axis, degrees, of the image's x toward its y."""
+        """Rotation about the optical axis, degrees, of the camera's x axis toward its y axis."""
         return as_float(_parameters_deg(self.pose)[2])
 
     @property
     def distance_mm(self) -> FloatOrTraced:
-        """Distance from the aim to the centre; NaN if the axis does not meet Z = 0 in front."""
+        """Distance from the aim to the centre of projection, mm; NaN if there is no aim."""
         return as_float(_parameters_deg(self.pose)[3])
 
     @property
     def aim_mm(self) -> tuple[FloatOrTraced, FloatOrTraced]:
-        """Intersection (X, Y) of the optical axis with Z = 0; NaN if it does not exist."""
+        """Intersection (X, Y) of the optical axis with the sheet Z = 0, mm.
+
+        NaN if the axis does not meet the sheet in front of the camera.
+        """
         x, y = _parameters_deg(self.pose)[4:6]
         return as_float(x), as_float(y)
 
@@ -261,12 +265,12 @@ def project(camera: Camera, point_world_mm: Float[ArrayLike, "3"]) -> Float[Arra
 
 
 def depth_mm(camera: Camera, point_world_mm: Float[ArrayLike, "3"]) -> Float[ArrayLike, ""]:
-    """Depth z of a world point in the camera frame, mm: positive in front of the camera."""
+    """Depth of a world point: z in the camera frame, mm, positive in front of the camera."""
     return camera.cam_from_world[2, :3] @ point_world_mm + camera.cam_from_world[2, 3]
 
 
 def viewing_direction(camera: Camera, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
-    """Unit vector in the world frame along the ray of a pixel, (3,)."""
+    """Unit vector (3,), in the world frame, along the viewing ray of a pixel."""
     return camera.pose.rotation.T @ camera.intrinsics.lens.unproject(uv_px)
 
 

@@ -68,7 +68,7 @@ def undistort_lens(
 
 
 def expect_alpha(alpha: float) -> None:
-    """Raise InputError if `alpha` is not between 0 and 1."""
+    """Raise `InputError` if `alpha` is not between 0 and 1."""
     if not 0 <= real_number(alpha, "alpha") <= 1:
         raise InputError(
             f"alpha is {alpha:g}, but must be between 0 and 1. Give 0 for valid pixels only, 1 for "
@@ -82,12 +82,12 @@ def ideal_lens(
     origin_px: Float[np.ndarray, "2"],
     size_px: tuple[int, int],
 ) -> Intrinsics:
-    """Pinhole lens with the calibration matrix K = [scale_px * shape | origin_px].
+    """Pinhole lens whose calibration matrix has the upper rows [scale_px * shape | origin_px].
 
     Parameters
     ----------
     shape : (2, 2)
-        Left upper part of K divided by its first entry: ratio of focal lengths and skew.
+        Left upper part of the calibration matrix divided by its first entry.
     scale_px : float
         Focal length along u.
     origin_px : (2,)
@@ -178,11 +178,11 @@ def with_covariance(cameras: Mapping[str, Camera], rig: Rig) -> Rig:
 def _rotation_jacobian(
     parameters: Float[ArrayLike, "6"], turn: Float[ArrayLike, "3 3"]
 ) -> Float[ArrayLike, "6 6"]:
-    """Jacobian (6, 6) of the pose parameters after a fixed rotation by those before it.
+    """Derivative (6, 6) of a rotated camera's pose parameters by those of the original camera.
 
-    Pose parameters are pan, tilt, swing, distance, aim X and aim Y. `parameters` are the values
-    before the rotation, in rad and mm. `turn` is the rotation in the camera frame, R_new R_old^T.
-    The Jacobian is in degrees and mm.
+    Pose parameters are pan, tilt, swing, distance, aim X and aim Y. `parameters` are those of the
+    original camera, in rad and mm. `turn` is the rotation in the camera frame, R_new R_old^T. The
+    derivative is in degrees and mm.
     """
     unit = jnp.array([jnp.pi / 180] * 3 + [1.0] * 3)
 

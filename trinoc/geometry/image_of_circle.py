@@ -26,7 +26,10 @@ _CENTRE_AND_EDGE = np.r_[
 def image_of_circle_centre(
     camera: Camera, centre_sheet_mm: Float[ArrayLike, "2"], radius_mm: ScalarLike
 ) -> Float[ArrayLike, "2"]:
-    """Centre of the ellipse that images a circle on the sheet Z = 0, (2,) px."""
+    """Centre (2,), px, of the ellipse that images a circle on the sheet Z = 0.
+
+    This is not the image of the circle's centre.
+    """
 
     def image(point_mm: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         return project(camera, jnp.append(point_mm, 0.0))

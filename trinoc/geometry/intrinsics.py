@@ -171,7 +171,7 @@ class Intrinsics(Value):
 
     @property
     def principal_point_px(self) -> Float[ArrayLike, "2"]:
-        """Pixel at which the optical axis meets the sensor, (2,)."""
+        """Principal point (2,): the pixel of the optical axis."""
         return self.lens.principal_point_px
 
     @property
@@ -366,7 +366,7 @@ def share_beyond_fold(lens: Intrinsics) -> float:
 
 
 def farthest_corner_px(lens: Intrinsics) -> float:
-    """Distance from the principal point to the farthest image corner, px."""
+    """Largest distance of an image corner from the principal point, px."""
     corners = np.array([[0.0, 0.0], np.array(lens.image_size_px) - 1.0])
     return float(np.linalg.norm(np.abs(corners - np.asarray(lens.principal_point_px)).max(axis=0)))
 

@@ -9,7 +9,7 @@ from trinoc.numerics.precision import ArrayLike
 
 
 class LineSigmas(NamedTuple):
-    """Lengths of 3-D segments and standard deviations, in mm.
+    """Lengths of t 3-D segments, with standard deviations of lengths and positions, mm.
 
     Attributes
     ----------

@@ -13,7 +13,7 @@ from trinoc.numerics.precision import ArrayLike
 def line_through(
     first: Float[ArrayLike, "2"], second: Float[ArrayLike, "2"]
 ) -> Float[ArrayLike, "3"]:
-    """Line through two image points, with unit normal, (3,).
+    """Line (a, b, c) through two image points, with unit normal, (3,).
 
     Parameters
     ----------
@@ -23,8 +23,8 @@ def line_through(
     Returns
     -------
     (3,)
-        Line (a, b, c). Distances are positive on the right of the direction from `first` to
-        `second`, as displayed (v down).
+        Line with a u + b v + c = 0. Distances from it are positive on the right of the direction
+        from `first` to `second`, as displayed (v down).
     """
     direction = second - first
     direction = direction / jnp.sqrt(direction @ direction)
@@ -35,9 +35,10 @@ def line_through(
 def signed_distance(
     line: Float[ArrayLike, "3"], point: Float[ArrayLike, "2"]
 ) -> Float[ArrayLike, ""]:
-    """Signed distance of an image point from a line with unit normal, px.
+    """Signed distance of an image point from a line (a, b, c) with unit normal, px.
 
-    The distance is positive on the right of the line of `line_through`, as displayed (v down).
+    For a line of `line_through`, the distance is positive on the right of the direction from its
+    first to its second point, as displayed (v down).
     """
     return line[:2] @ point + line[2]
 

@@ -37,7 +37,8 @@ CAMERA_FRAME = Pose(np.eye(3, 4))
 class Windows(NamedTuple):
     """Scale and position of several undistorted images in one common image plane.
 
-    The plane has the coordinates (x/z, y/z). A pixel is `scale_px` (x/z, y/z) + origin.
+    A pixel is `scale_px` times the coordinates of the plane, (x/z, y/z), plus the origin. The
+    coordinates may include the ratio of the focal lengths and the skew.
 
     Attributes
     ----------
@@ -115,7 +116,7 @@ def fit_windows(
     Parameters
     ----------
     borders : sequence of (m, 2)
-        Border of the field of view of each camera, once around, in the plane (x/z, y/z).
+        Border of the field of view of each camera, once around, in the plane of `Windows`.
     size_px : (width, height)
         Size of every window.
     alpha : float
@@ -191,7 +192,8 @@ def _half_side_inside(
 ) -> Float[np.ndarray, "i j"]:
     """Half side of the largest square inside a region, for each centre (x, y), (i, j).
 
-    Negative for a centre outside the region.
+    `x` and `y` are the coordinates of a grid of i x j centres. The result is negative for a centre
+    outside the region.
     """
     centres = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 1, 2)
     start = region - centres

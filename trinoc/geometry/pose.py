@@ -47,7 +47,7 @@ class PoseModel(Enum):
 
     @property
     def size(self) -> int:
-        """Number of free parameters."""
+        """Number of pose parameters that a fit estimates."""
         return len(self.value)
 
     @property
@@ -267,7 +267,7 @@ class Pose(Value):
 
 
 def _turn_to_axis(ray: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
-    """Smallest rotation that maps a unit vector with z > 0 onto the optical axis, (3, 3)."""
+    """Smallest rotation (3, 3) that maps a unit vector with z > 0 onto (0, 0, 1)."""
     x, y, z = ray[0], ray[1], ray[2]
     factor = 1 / (1 + z)
     rows = [

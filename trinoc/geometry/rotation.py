@@ -72,8 +72,8 @@ def rotation_from_pan_tilt_swing(
 ) -> Float[ArrayLike, "3 3"]:
     """Rotation cam_from_world (3, 3); its rows are the camera's x (right), y (down), z (forward).
 
-    Pan is the azimuth of the camera from -Y toward +X. Tilt is its elevation above Z = 0. Swing
-    turns the image's x toward its y.
+    Pan is the azimuth of the camera, 0 on the -Y side and positive toward +X. Tilt is the elevation
+    of the camera above Z = 0. Swing turns the camera's x axis toward its y axis.
     """
     xp = array_namespace(pan_rad, tilt_rad, swing_rad)
     sin_p, cos_p = xp.sin(pan_rad), xp.cos(pan_rad)

@@ -233,7 +233,7 @@ class Segments(Displayable, Table):
 
     @property
     def length_px(self) -> Float[ArrayLike, "n"]:
-        """Distance between the two ends, (n,) px."""
+        """Length of each segment, the distance between its ends, (n,) px."""
         return np.linalg.norm(np.diff(self.endpoints_px, axis=1)[:, 0], axis=-1)
 
 

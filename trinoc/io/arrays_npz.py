@@ -96,7 +96,7 @@ def load_array(path: Path) -> np.ndarray:
 
 
 def _one(array: np.ndarray | None) -> str:
-    """Convert an array that holds one word or one whole number to a string; empty for others."""
+    """Convert an array of one word or one whole number to a string; "" for other arrays."""
     if array is None or array.ndim != 0 or array.dtype.kind not in "iuU":
         return ""
     return str(array)[:60]

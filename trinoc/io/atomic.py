@@ -116,7 +116,7 @@ def expect_place(*paths: str | os.PathLike[str] | None) -> None:
     """Raise `InputError` for a path that cannot be written, before a long computation.
 
     Reasons are a missing or read-only folder, a path that is a folder or a device, and a long name.
-    None is ignored.
+    Paths that are None are skipped.
     """
     for path in paths:
         if path is None:

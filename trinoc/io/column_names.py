@@ -151,10 +151,10 @@ def ends_of_columns(
 def order_in_space(
     names: Sequence[str], rows: Float[np.ndarray, "n c"], where: str
 ) -> Float[np.ndarray, "n c"]:
-    """Sort the columns of a table of 3-D coordinates by their names.
+    """Arrange the columns of a table of 3-D points or edges as x y z, or x1 y1 z1 x2 y2 z2.
 
-    The result has the columns x1 y1 z1 x2 y2 z2, or x y z. Raise `InputError` for other names.
-    `where` is file and line of the heading, for messages.
+    `names` are the column names, in any order. Raise `InputError` for other names. `where` is file
+    and line of the heading, for messages.
     """
     if len(names) == 3:
         columns = {_plain(name): column for name, column in zip(names, rows.T, strict=True)}
@@ -222,8 +222,8 @@ def _columns_of(
 ) -> dict[str, np.ndarray]:
     """Columns keyed by meaning, such as "x first"; columns of unknown meaning are left out.
 
-    Ends with the numbers 0 and 1, or 1 and 2, become first and last. Raise `InputError` for two
-    columns of one meaning.
+    Ends with the numbers 0 and 1, or 1 and 2, are called "first" and "last". Raise `InputError` for
+    two columns of one meaning.
     """
     if rows.shape[1] != len(names):
         raise InputError(

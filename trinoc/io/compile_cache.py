@@ -83,13 +83,15 @@ def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path |
 
 @contextlib.contextmanager
 def compile_cache_for(task: str) -> Iterator[None]:
-    """Context with the compile cache, in which the programs of the last run load in advance.
+    """Context manager that enables the compile cache and loads programs in advance.
+
+    These are the programs that the last run of the same task used.
 
     Parameters
     ----------
     task : str
-        Name under which the programs that this run uses are listed for the next run, such as the
-        name of a command.
+        Name of the task, such as a command. The programs that this run uses are listed under it,
+        for the next run.
     """
     from trinoc.numerics.programs import prefetch_programs, set_program_store
 
@@ -210,7 +212,7 @@ class FolderStore:
             self._used[path] = None
 
     def last_used(self, task: str) -> Iterator[bytes]:
-        """Contents of the programs that the last run of a task used, in the order of use."""
+        """Iterate over the contents of the programs that the last run of a task used, in order."""
         try:
             names = self._list(task).read_text(encoding="utf-8").split()
         except (OSError, ValueError):
@@ -222,7 +224,7 @@ class FolderStore:
                     yield content
 
     def list_used(self, task: str) -> None:
-        """Write the list of the programs that this store has returned or kept in this run."""
+        """Write the list of the programs that this run has read or stored, for `last_used`."""
         if self._used:
             with contextlib.suppress(OSError, InputError), atomic_write(self._list(task)) as file:
                 file.write("\n".join(path.name for path in self._used).encode())
@@ -239,7 +241,7 @@ class FolderStore:
 
 
 def _read_whole(path: Path) -> bytes | None:
-    """Content of a program's file without its digest, or None if the content is damaged."""
+    """Read the file of a program, without its checksum; None if the content is damaged."""
     content = path.read_bytes()
     # The youngest are kept when the folder grows too large.
     os.utime(path)

@@ -134,7 +134,10 @@ def frames_of_results(results: Sequence[FrameMatches], views: Sequence[str]) -> 
 
 
 def _no_tracks(views: int) -> dict[str, np.ndarray]:
-    """Empty columns of `Matches` for `views` views, if no frame has matches."""
+    """Columns of `Matches` without rows, keyed by name, for frames that have no matches.
+
+    `views` is the number of views.
+    """
     kinds = {"f": np.float64, "i": np.int64, "b": np.bool_, "U": "<U1"}
     dtypes = {field.name: kinds[field.kind] for field in list_fields(Matches) if field.kind}
     return {
@@ -144,7 +147,7 @@ def _no_tracks(views: int) -> dict[str, np.ndarray]:
 
 
 def sides_of_row(sides: Sequence[str], views: int) -> tuple[int, ...]:
-    """Shape of one row of a column; the side "v" is the number of views."""
+    """Shape of one row of a column. `sides` are numbers as text, or "v" for the number of views."""
     return tuple(views if side == "v" else int(side) for side in sides)
 
 

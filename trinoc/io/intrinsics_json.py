@@ -36,7 +36,7 @@ _SAME_RADIUS = 0.05
 def fold_notes(value: Rig | Intrinsics | Mapping[str, Intrinsics]) -> tuple[str, ...]:
     """Return a sentence for each lens whose distortion folds the image but leaves it usable.
 
-    `value` is a lens, or contains the lens of each camera.
+    `value` is a lens, a rig, or lenses keyed by camera name.
     """
     if isinstance(value, Intrinsics):
         lenses = {"The distortion of the lens": value}

@@ -71,13 +71,13 @@ class PatternPage(NamedTuple):
 
 
 def drawing_room_mm(paper: str) -> tuple[float, float]:
-    """Largest (width, height) of a drawing on a paper size in portrait format."""
+    """Largest (width, height), mm, of a drawing on a paper size in portrait format."""
     width, height = PAPER_SIZES_MM[paper] - _around_mm()
     return float(width), float(height)
 
 
 def _around_mm() -> Float[np.ndarray, "2"]:
-    """(width, height) that margins, scale bars and text need in addition to the drawing."""
+    """(width, height), mm, that margins, scale bars and text need in addition to the drawing."""
     return 2 * _MARGIN_MM + np.array([2 * _BAR_GAP_MM, _BAR_GAP_MM + _TEXT_ROOM_MM])
 
 
@@ -154,7 +154,7 @@ def drawing_box_mm(board: AbstractBoard) -> Float[np.ndarray, "2 2"]:
 
 
 def drawing_size_mm(board: AbstractBoard) -> tuple[float, float]:
-    """(width, height) of the bounding box of a board's ink."""
+    """(width, height), mm, of the bounding box of a board's ink."""
     low, high = drawing_box_mm(board)
     return _pair(high - low)
 
@@ -162,9 +162,10 @@ def drawing_size_mm(board: AbstractBoard) -> tuple[float, float]:
 def _scale_bars(
     low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"], bar_x: float, bar_y: float
 ) -> list[Disc | Polygon | Text]:
-    """Figures of both scale bars. Ticks at the ends have outer edges one bar length apart.
+    """Figures of both scale bars: bars with a tick at each end, and labels.
 
-    `low` and `high` are corners of the drawing; `bar_x` and `bar_y` are the bar lengths. All in mm.
+    The outer edges of the ticks are one bar length apart. `low` and `high` are corners of the
+    drawing; `bar_x` and `bar_y` are the bar lengths. All are in mm.
     """
     middle = 0.5 * (low + high)
     figures: list[Disc | Polygon | Text] = []

@@ -19,7 +19,7 @@ _MARGIN_MM = 5.0
 
 
 def screen_room_mm(size_px: tuple[int, int], pitch_mm: float) -> tuple[float, float]:
-    """Largest (width, height) of a drawing on a screen, with white margins.
+    """Largest (width, height), mm, of a drawing on a screen, with white margins.
 
     `size_px` is the size of the screen and `pitch_mm` the size of a pixel.
     """

@@ -70,7 +70,7 @@ class RigStatus(NamedTuple):
 
     @property
     def doubts(self) -> dict[str, str]:
-        """Reason for each camera whose fit did not converge well, keyed by camera name."""
+        """Reason for each camera whose status is not "converged", keyed by camera name."""
         return {
             name: camera.notes[0] if camera.notes else "its calibration gives no reason."
             for name, camera in self.cameras.items()
@@ -81,7 +81,7 @@ class RigStatus(NamedTuple):
 def status_of_names(
     status: RigStatus, names: Sequence[str], *, sigmas: bool
 ) -> dict[str, Any] | None:
-    """ "status" object of a new rig.json for the cameras `names`, from the status of another.
+    """Object "status" of a new rig.json for the cameras `names`, from the status of another.
 
     `sigmas` is True if the new file has the covariance of the other. None if no calibration
     reported a status of these cameras.

@@ -44,9 +44,9 @@ def tables() -> list[type[Table]]:
 
 
 def expect_ending(path: str | os.PathLike[str] | None, kind: type) -> None:
-    """Raise `InputError` if a file name has not the ending that `save` needs for a value of `kind`.
+    """Raise `InputError` if `save` needs another file ending for a value of class `kind`.
 
-    Called before a long computation. None as path is ignored.
+    Called before a long computation. Nothing is checked if `path` is None.
     """
     file_kinds = [(*document, ".json") for document in _DOCUMENTS]
     file_kinds.append((PictureMaps, "maps", ".npz"))
@@ -65,7 +65,7 @@ def expect_replaceable(
     force: bool = False,
     remedy: str = "--force",
 ) -> None:
-    """Raise `InputError` if `save` may not write a value of `kind` to `path`.
+    """Raise `InputError` if `save` may not write a value of class `kind` to `path`.
 
     Called before a long computation. Reasons are another file ending, and an existing file with
     another kind of content, unless `force`. `remedy` is the option named in the message.
@@ -86,7 +86,7 @@ def expect_replaceable(
 def expect_marked(path: str | os.PathLike[str] | None, mark: bytes, *, force: bool = False) -> None:
     """Raise `InputError` if an existing file does not contain the bytes `mark`, unless `force`.
 
-    Such a file, for example one that is not a report, must not be replaced.
+    `mark` identifies the kind of file, such as a report, that may be replaced.
     """
     if path is None or force or not Path(path).is_file():
         return

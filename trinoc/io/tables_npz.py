@@ -35,7 +35,7 @@ def save_npz(table: Table, path: str | os.PathLike[str]) -> None:
 
 
 def checked_arrays(table: Table, path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """Arrays of a table for its file, after a test that `build_table` accepts them.
+    """Return the arrays that store a table, after a test that `build_table` can read them.
 
     Raise `InputError` otherwise.
     """

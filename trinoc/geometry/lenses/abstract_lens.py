@@ -70,7 +70,7 @@ class RadialPart(NamedTuple):
             return float(min(growth, np.sqrt(_smallest_root(below))))
 
     def radius(self, r: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Image radius r N(r^2) / D(r^2), in focal lengths."""
+        """Image radius r N(r^2) / D(r^2) of rays at r, in focal lengths."""
         with np.errstate(all="ignore"):
             return r * np.polyval(self.numerator, r * r) / np.polyval(self.denominator, r * r)
 
@@ -201,7 +201,7 @@ class AbstractLens(Value):
 
     @abc.abstractmethod
     def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
-        """Distorted normalised coordinates of a ray: K^-1 (u, v, 1) of its pixel, (2,)."""
+        """Distorted normalised coordinates (2,) of a ray. K maps them to the pixel of the ray."""
 
     @abc.abstractmethod
     def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
@@ -232,8 +232,8 @@ class AbstractLens(Value):
     def valid_radius_px(self) -> float:
         """Distance from the principal point, px, up to which rays and pixels are one to one.
 
-        Infinite if the distortion never folds. Otherwise the image radius of a ray at 95 % of the
-        fold's r (`RadialPart`), because nearer to the fold Newton's method does not converge. Not
+        Infinite if the distortion never folds. Otherwise the distance at which a ray at 95 % of
+        `RadialPart.fold` is imaged. Nearer to the fold, Newton's method does not converge. Not
         usable inside `jit`: the parameters must be numbers.
         """
         radial = self.radial_part()
@@ -286,7 +286,7 @@ class AbstractLens(Value):
         return xp.stack([xp.stack(row) for row in rows])
 
     def project_ray(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
-        """Pixel (2,) that images a ray of the camera frame."""
+        """Pixel (2,) that images a ray of the camera frame, lens distortion included."""
         return self.affine(self.distort(ray_cam))
 
     def unproject(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
@@ -295,11 +295,11 @@ class AbstractLens(Value):
         return ray / jnp.sqrt(ray @ ray)
 
     def pixel_from_normalised(self, normalised: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Pixel (2,) that images the ray (x/z, y/z, 1)."""
+        """Pixel (2,) that images the ray (x/z, y/z, 1), lens distortion included."""
         return self.project_ray(ray_of_normalised(normalised))
 
     def normalised_from_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Coordinates (x/z, y/z) of the ray of a pixel. The ray must have z > 0."""
+        """Normalised coordinates (x/z, y/z) of the ray of a pixel. The ray must have z > 0."""
         ray = self.undistort(self.affine_inverse(uv_px))
         return ray[:2] / ray[2]
 

@@ -38,7 +38,7 @@ class Pinhole(AbstractLens):
         return ray_cam[:2] / ray_cam[2]
 
     def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
-        """Ray (x, y, 1) of normalised coordinates."""
+        """Ray (x, y, 1) of normalised coordinates (x, y)."""
         return ray_of_normalised(distorted)
 
 

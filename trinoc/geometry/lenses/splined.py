@@ -167,7 +167,7 @@ class AbstractSplinedLens(AbstractLens):
 
     @property
     def control_px(self) -> Float[ArrayLike, "2 rows columns"]:
-        """Control points of du and dv, (2, rows, columns) px."""
+        """Control points of the correction, (2, rows, columns) px: first du, then dv."""
         return self.coefficients[-len(_CONTROL) :].reshape(2, ROWS, COLUMNS)
 
     def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:

@@ -11,7 +11,7 @@ from trinoc.match.wire_frame.frame import Wireframe
 
 
 def write_json(frame: Wireframe, path: Path, unit_mm: float) -> None:
-    """Write vertices, edges, faces and removed tracks of a wire frame as JSON.
+    """Write vertices, edges and faces of a wire frame, and line ends that do not fit, as JSON.
 
     Lengths are in units of `unit_mm`.
     """

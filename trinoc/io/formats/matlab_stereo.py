@@ -64,7 +64,7 @@ ROWS = (LensRow("", "brown_conrady", (*RADIAL, *TANGENTIAL)),)
 
 
 def write_matlab(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write a struct of stereoParameters for the first camera with each other camera.
+    """Write one struct of stereoParameters for each pair of the first camera and another camera.
 
     Translations are in units of `unit_mm`. Raise `InputError` for a rig of one camera.
     """

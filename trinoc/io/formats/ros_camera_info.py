@@ -217,8 +217,8 @@ def _expect_whole_picture(roi: Block, size: list[float]) -> None:
 def _rectified_rig(infos: dict[str, _Info], path: Path) -> Rig:
     """Rig of cameras that were rectified together; the world is the frame of the first camera.
 
-    The projection P of each camera is K' [I | t]. t is the position of the common rectified frame
-    relative to the camera, in metres.
+    The projection P of each camera is K' [I | t]. t is the translation from the common rectified
+    frame to the rectified frame of the camera, in metres.
     """
     names = list(infos)
     shifts_mm = {}
