@@ -67,7 +67,7 @@ class KnownShape(Value):
         return cls(truth.edges_mm, *_read_labels(parts), np.zeros((0, 3, 3)), wanted)
 
     def visible_to(self, rig: Rig) -> "KnownShape":
-        """Copy of this shape of which the parts visible to two cameras of `rig` should be detected.
+        """Copy of this shape in which parts visible to two cameras of `rig` should be detected.
 
         Known faces hide the edges behind them. Parts outside the images are not visible.
         """

@@ -1,4 +1,4 @@
-"""One camera: intrinsics and a pose; projection of points, and the sheet point of a pixel."""
+"""One camera: intrinsics and a pose. Projection of points, and the sheet point of a pixel."""
 
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""Features in space: tables of corners, rims and the like, and their drawings as lines."""
+"""Features in space: base class of tables of corners, rims and others, and line drawings."""
 
 import abc
 from collections.abc import Sequence

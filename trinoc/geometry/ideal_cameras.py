@@ -1,4 +1,4 @@
-"""Distortion-free cameras in place of real ones: lenses, poses and covariance.
+"""Replacement of real cameras by distortion-free ones: lenses, poses and covariance.
 
 Stereo rectification (`rectification.py`) and undistorted images (`image/ideal_pictures.py`) use
 these cameras.

@@ -1,7 +1,7 @@
 """Lines of an image and lines in space.
 
-An image line is l = (a, b, c) with a u + b v + c = 0. It has a unit normal, a^2 + b^2 = 1, where a
-distance is computed. Distances are in pixels, points in undistorted pixels.
+An image line is l = (a, b, c) with a u + b v + c = 0, in undistorted pixels. Functions of distances
+need a unit normal, a^2 + b^2 = 1.
 """
 
 import jax.numpy as jnp

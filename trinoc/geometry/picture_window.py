@@ -1,10 +1,10 @@
 """Window of an undistorted image: its scale, and its position in the ideal image plane.
 
-A window lies inside the field of a camera if it contains no point of the field's border. The
-largest window about a given middle therefore extends to the nearest border point, in the norm whose
-unit ball is the window. `cv2.getOptimalNewCameraMatrix` and `cv2.stereoRectify` use extremes of the
-border instead. For convergent or rolled cameras they show a small part of the field, or invalid
-pixels.
+A window lies inside the field of view of a camera if it contains no point of the field's border.
+The largest window about a given centre therefore extends to the nearest border point, in the norm
+whose unit ball is the window. `cv2.getOptimalNewCameraMatrix` and `cv2.stereoRectify` use extremes
+of the border instead. For convergent or rolled cameras they show a small part of the field, or
+invalid pixels.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """Stereo rectification: two ideal cameras in which a point has the same row in both images.
 
-Both image planes are parallel to the baseline, at one distance. A point at depth z moves by f b / z
-along the rows from image to image. Source: Hartley and Zisserman, section 11.12.
+Both image planes are parallel to the baseline b, at the same distance f. The columns of a point at
+depth z differ by f b / z. Source: Hartley and Zisserman, section 11.12.
 """
 
 from collections.abc import Mapping

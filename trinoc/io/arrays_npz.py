@@ -1,7 +1,7 @@
-"""npz files with a name and a version of their format, read without trusting what is in them.
+"""npz files with a format name and a version, read safely.
 
-What an array needs is read from its header, and compared with what is there and with a limit,
-before any memory is taken: a small file can announce, and unpack to, thousands of times its size.
+A small file can state, and unpack to, thousands of times its size. So the size that the header of
+an array states is compared with the file and with a limit before memory is reserved.
 """
 
 import ast

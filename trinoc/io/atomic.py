@@ -1,4 +1,7 @@
-"""Files read whole, and files written whole or not at all, whatever stops the program."""
+"""Safe reading and writing of whole files.
+
+A written file appears complete or not at all, also if the program is stopped.
+"""
 
 import contextlib
 import csv

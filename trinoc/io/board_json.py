@@ -1,5 +1,6 @@
-"""Sheets and boards as JSON. A sheet lists every circle and line in mm, whatever made its grid; a
-board has the fields that its kind names.
+"""Layouts of calibration sheets and boards as JSON.
+
+A sheet lists every circle and line in mm. A board lists the parameters of its kind.
 """
 
 import dataclasses

@@ -1,7 +1,7 @@
-"""Readers of other libraries in a child process, which a damaged file may crash, stall or fill.
+"""Readers of other libraries, run in a child process with limits of time and memory.
 
-A crash of compiled code ends the process that runs it. Such a reader therefore runs in a process of
-its own with limits of time and memory, and its answer comes back as JSON, which holds no code.
+A damaged file may crash compiled code, and a crash ends the process. The result comes back as JSON,
+which contains no code.
 """
 
 import contextlib

@@ -1,7 +1,7 @@
-"""Columns of tables by the names in their heading: the ends of segments in the picture or in space.
+"""Meaning of column names in tables of 2-D segments and 3-D edges.
 
-Names are compared in lower case, without signs between their parts and without the unit px: X1,
-x_1, "x1 [px]" and x1_px are one name.
+Names are compared in lower case, without punctuation and without the unit px: X1, x_1, "x1 [px]"
+and x1_px are one name.
 """
 
 import itertools

@@ -1,7 +1,7 @@
-"""JAX's compiled kernels kept between runs, so that the second process starts at once.
+"""Cache of JAX's compiled kernels on disk, so that later processes start without compiling.
 
-The command line switches this on, and whoever calls `enable_compile_cache`; to import the package
-alone leaves the JAX settings as they are.
+The command line enables the cache. A program enables it by `enable_compile_cache`; an import of the
+package does not change the settings of JAX.
 """
 
 import contextlib

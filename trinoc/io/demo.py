@@ -1,4 +1,4 @@
-"""The bundled demo pictures and their truth, and the truth files of rendered scenes."""
+"""Bundled demo images with their true edges, and truth files of synthetic scenes."""
 
 import os
 from importlib import resources

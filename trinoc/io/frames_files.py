@@ -1,6 +1,4 @@
-"""Files of the matches of many frames: npz, Parquet with a row for each track, and the folder that
-`trinoc batch` fills.
-"""
+"""Files with the matches of many frames: npz, Parquet, and the output folder of `trinoc batch`."""
 
 import importlib.util
 import json

@@ -1,8 +1,8 @@
-"""The matches of many frames as one table: those of all frames one behind the other.
+"""The matches of many frames as one table.
 
-For each frame there are its name, its status, its number of tracks, its number of segments in each
-view, and what `Matches` says of the whole; for each track the columns of `Matches`. A frame that
-failed has a status that says why, and no tracks.
+Each frame has a name, a status, numbers of tracks and segments, and the scalar fields of `Matches`.
+The tracks of all frames follow each other in the columns of `Matches`. A frame that failed has no
+tracks, and its status is the reason.
 """
 
 import json

@@ -1,6 +1,6 @@
-"""Pictures from files, at the depth that the camera recorded: one, by view, and by shot.
+"""Reading of images at the bit depth of the file: one image, one for each view, or by shot.
 
-Sources of the marks at a file's end: the PNG specification; T.81 for JPEG.
+Sources of the end marks of files: the PNG specification; T.81 for JPEG.
 """
 
 import contextlib

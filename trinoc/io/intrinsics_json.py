@@ -1,5 +1,6 @@
-"""Lenses as JSON: the "intrinsics" block of rig.json, and camera.json around one such block; which
-lenses and cameras can be true.
+"""Lenses as JSON: camera.json and the object "intrinsics" of rig.json.
+
+Also checks that lenses and cameras are physically possible.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""JSON files that people edit, strictly read: every mistake is named by file, place and remedy."""
+"""Strict reading of JSON files that users edit: each error names file, key and remedy."""
 
 import dataclasses
 import difflib

@@ -1,4 +1,4 @@
-"""Known shapes from files: lists of edges, polylines, OBJ models, the truth of made scenes."""
+"""Known shapes from files: lists of edges, polylines, OBJ models, truth of synthetic scenes."""
 
 import os
 from pathlib import Path

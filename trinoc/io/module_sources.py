@@ -1,4 +1,4 @@
-"""Digest of the sources that a program is made from: modules, and all that these import."""
+"""Digest of the source files of modules and of all modules that they import."""
 
 import functools
 import hashlib

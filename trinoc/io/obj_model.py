@@ -1,4 +1,4 @@
-"""The edges and faces of a Wavefront OBJ model. Edges that continue each other are one."""
+"""Edges and faces of a Wavefront OBJ model. Edges that continue each other become one edge."""
 
 from collections import defaultdict
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""A sheet laid out on a page: figures in mm, drawn alike as SVG and as PDF."""
+"""Page layout of a calibration sheet or board, in mm, and its drawing as SVG and PDF."""
 
 import io
 import os

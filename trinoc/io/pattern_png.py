@@ -1,4 +1,4 @@
-"""A sheet or board as the picture that a screen shows pixel by pixel, for a screen as target."""
+"""Image of a sheet or board for a screen that serves as calibration target."""
 
 import os
 

@@ -1,7 +1,7 @@
-"""Tags of picture files that change how pixels are shown: orientation, and white as zero.
+"""Tags of image files that change the display: orientation, and white as zero.
 
-Pixels are read as the sensor had them, whatever the orientation tag says: the calibration of a lens
-belongs to the sensor. Decoders of TIFF turn pixels by the tag, so it is set to 1 before.
+Orientation tags are not applied, because a lens calibration belongs to the pixels of the sensor.
+Decoders of TIFF rotate the pixels by this tag, so it is set to 1 before decoding.
 
 References
 ----------

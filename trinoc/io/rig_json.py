@@ -1,4 +1,4 @@
-"""rig.json: cameras, what is known of their errors, and how the calibration ended."""
+"""rig.json: cameras, their covariance, and the status of the calibration."""
 
 import os
 from collections.abc import Mapping, Sequence

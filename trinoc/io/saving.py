@@ -1,4 +1,4 @@
-"""One function that writes any of trinoc's values to its own kind of file, and one that reads."""
+"""`save` and `load` for all values that trinoc writes, each in its own format."""
 
 import os
 from collections.abc import Callable, Mapping

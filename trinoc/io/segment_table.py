@@ -1,4 +1,4 @@
-"""Segments as files: trinoc's npz, and tables of other detectors, whose headings name columns."""
+"""Segments from files: trinoc's npz, and tables of other detectors."""
 
 import os
 from pathlib import Path

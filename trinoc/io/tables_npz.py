@@ -1,4 +1,4 @@
-"""Tables as npz files: every field by its name, read without trust, as the columns declare."""
+"""Tables as npz files: one array for each field, checked against the declared columns."""
 
 import itertools
 import os

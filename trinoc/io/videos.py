@@ -1,4 +1,4 @@
-"""Videos of cameras in step: their frames by moments, and as folders of PNG files."""
+"""Synchronous videos of several cameras: frames at common moments, also as PNG files."""
 
 import contextlib
 import os

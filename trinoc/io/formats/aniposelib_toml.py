@@ -1,9 +1,10 @@
-"""TOML of aniposelib, which FreeMoCap writes, too, and of Caliscope.
+"""TOML files of aniposelib and FreeMoCap, and of Caliscope.
 
-Both have a table for each camera: OpenCV's `matrix` and `distortions`, and `rotation` (axis times
-angle) and `translation` of x_cam = R x_world + t. aniposelib's is `[cam_0]`, with a `name`, in the
-unit of its board; Caliscope's is `[cameras.0]`, in metres. Caliscope's `rotation_count` turns
-pictures while points are sought and shown: its lenses are those of the pictures as stored.
+Both have a table for each camera: OpenCV's `matrix` and `distortions`, and `rotation` (rotation
+vector) and `translation` of x_cam = R x_world + t. The table of aniposelib is `[cam_0]`, with a
+`name`, in the unit of its board. The table of Caliscope is `[cameras.0]`, in metres. Caliscope's
+`rotation_count` rotates images for detection and display only. Its lenses belong to the images as
+stored.
 
 Source: cameras.py of aniposelib, camera_array.py of Caliscope, calibration_result.py of FreeMoCap.
 """

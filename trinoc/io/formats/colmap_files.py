@@ -1,4 +1,4 @@
-"""COLMAP's text and binary files, after https://colmap.github.io/format.html."""
+"""Text and binary files of COLMAP models. Source: https://colmap.github.io/format.html."""
 
 import math
 import struct

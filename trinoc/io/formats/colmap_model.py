@@ -1,8 +1,9 @@
-"""COLMAP models: a folder of cameras, images and points3D, and the rigs and frames of COLMAP 4.
+"""COLMAP models: a folder with cameras, images, points3D, and the rigs and frames of COLMAP 4.
 
-Every camera of a rig is a camera with one image, whose name is the camera's, and all are one rig in
-one frame. COLMAP's origin is the corner of the top-left pixel, so that principal points differ by
-half a pixel. Points are left out: COLMAP has no lines. Both are read, with the poses of the images.
+Every camera of a rig becomes a COLMAP camera with one image, named after the camera. All images
+belong to one rig in one frame. COLMAP's pixel origin is the corner of the top-left pixel, so that
+principal points differ by half a pixel. Points are not written, because COLMAP has no lines. Text
+and binary models are read, with the poses of the images.
 """
 
 from dataclasses import replace

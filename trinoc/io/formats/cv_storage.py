@@ -1,11 +1,11 @@
-"""OpenCV's FileStorage, YAML or JSON, as its calibration samples write it.
+"""OpenCV's FileStorage, as YAML or JSON, with the keys of OpenCV's calibration samples.
 
-One lens is `camera_matrix`, `distortion_coefficients`, `image_width` and `image_height`, and for
-`cv2.fisheye` `fisheye_model: 1`. A rig is the list `cameras`, each with a `name`, these, and `R`
-and `T` of x_cam = R x_world + T; two
-cameras stand there as `M1`, `D1`, `M2`, `D2` and `R`, `T` (second from first) besides, which
-`cv2.stereoRectify` takes. Read is any of the three. The covariance of a rig stands under
-`covariance`, in degrees and mm, as in rig.json.
+A lens has the keys `camera_matrix`, `distortion_coefficients`, `image_width` and `image_height`,
+and `fisheye_model: 1` for `cv2.fisheye`. A rig has a list `cameras`. Each entry has these keys, a
+`name`, and `R` and `T` of x_cam = R x_world + T. A rig of two cameras also has the keys of
+`cv2.stereoRectify`: `M1`, `D1`, `M2`, `D2`, and `R`, `T` from the first to the second camera. All
+three forms are read. The covariance of a rig is stored under `covariance`, in degrees and mm, as in
+rig.json.
 """
 
 import itertools

@@ -1,7 +1,8 @@
-"""EasyMocap's folder of intri.yml and extri.yml, in OpenCV's FileStorage.
+"""EasyMocap's folder with intri.yml and extri.yml, in OpenCV's FileStorage.
 
-The list `names` stands in both. For each there are `K_NAME`, `dist_NAME`, `H_NAME` and `W_NAME`,
-and `R_NAME` (axis times angle), `Rot_NAME` (its matrix) and `T_NAME` of x_cam = R x_world + T.
+Both files have the list `names`. intri.yml has `K_NAME`, `dist_NAME`, `H_NAME` and `W_NAME` for
+each camera. extri.yml has `R_NAME` (rotation vector), `Rot_NAME` (the same rotation as a matrix)
+and `T_NAME` of x_cam = R x_world + T.
 
 Source: mytools/camera_utils.py of EasyMocap.
 """

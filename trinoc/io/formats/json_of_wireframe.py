@@ -1,4 +1,4 @@
-"""A wire frame as JSON: vertices, edges and faces by name, each with its own covariance."""
+"""A wire frame as JSON: vertices, edges and faces, each with its own covariance."""
 
 import json
 from pathlib import Path

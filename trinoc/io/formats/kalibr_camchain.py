@@ -1,8 +1,8 @@
-"""Kalibr's camchain YAML: cam0, cam1, ..., each with `T_cn_cnm1` from the camera before it, or with
-`T_cam_imu` from an inertial unit that all hang on.
+"""Kalibr's camchain, a YAML file with cam0, cam1, ...
 
-Kalibr has no world but the first camera, and no names but numbers: both are lost. Its radtan has
-exactly k1, k2, p1, p2.
+Each camera has its pose relative to the previous camera, `T_cn_cnm1`, or to a common inertial unit,
+`T_cam_imu`. The world is the first camera, and cameras have numbers instead of names. So the world
+and the names of a rig are lost. Kalibr's radtan model has exactly k1, k2, p1, p2.
 """
 
 import re

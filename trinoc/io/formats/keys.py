@@ -1,7 +1,7 @@
-"""The keys of another tool's file: which are read, which may be left out, which are refused.
+"""Keys of other tools' files: which keys are read, ignored or refused.
 
-A reader that takes the keys it knows and no notice of others is wrong without a word as soon as a
-file has a key that changes the projection. So a reader declares its keys, and gets no others.
+A reader that ignores an unknown key gives wrong results without a message if the key changes the
+projection. So each reader declares its keys, and gets no others.
 """
 
 import difflib

@@ -1,7 +1,7 @@
-"""Lenses under the names and in the order of other tools: a table for each format.
+"""Conversion of lenses between trinoc and other tools, by a table of lens models for each format.
 
-The polynomials are the same wherever a model of ours has a name there; what differs is the order
-of the coefficients, how many there are, and where the origin of the pixels lies.
+A model with a name in both has the same polynomial. Formats differ in the order and number of the
+coefficients, and in the pixel origin.
 """
 
 from collections.abc import Sequence

@@ -1,12 +1,11 @@
 """3-D segments and features as drawings: OBJ, glTF 2.0 and DXF.
 
-glTF counts in metres with y up: (x, y, z) of the world becomes (x, z, -y) / 1000, in single
-precision, which is finer than .1 um on a bench.
+glTF has metres with y up: (x, y, z) mm of the world becomes (x, z, -y) / 1000, in single precision.
 
-DXF is R12, which every CAD reads: LINE entities, a layer for each stage. A wire frame has its edges
-on two layers, those of three views and those of two, and its faces as 3DFACE on a third, in
-triangles where they have more than four corners. Other features have a layer of their kind. R12 has
-no unit of its own: tell the program that reads it millimetres.
+DXF is R12, which all CAD programs read: LINE entities, with a layer for each stage of matching. A
+wire frame has a layer for edges of three views, one for edges of two views, and one for faces.
+Faces are 3DFACE entities, in triangles if they have more than four corners. Other features have a
+layer for their kind. R12 does not state a unit: select millimetres in the program that reads it.
 """
 
 import base64

@@ -1,4 +1,4 @@
-"""3-D segments as tables of a row for each track: CSV, Parquet, which needs pyarrow, and PLY."""
+"""3-D segments as tables with a row for each track: CSV, Parquet (needs pyarrow) and PLY."""
 
 import csv as csv_text
 import io

@@ -1,11 +1,11 @@
-"""MATLAB's `stereoParameters` as structs in a .mat file, to be read with scipy or MATLAB.
+"""MATLAB's `stereoParameters` as structs in a .mat file, for MATLAB or SciPy.
 
-MATLAB knows pairs. For each camera after the first there is a struct `stereoParams` (of two
-cameras), or `stereoParams_2`, `stereoParams_3`, ...: the first camera and that one, with the fields
-of `toStruct`; `stereoParameters(S.stereoParams_2)` makes the object. Its pixels count from 1, its
-matrices are transposed (row vectors: x2 = x1 R + t), and each file states its unit. `camera_names`
-and `cam1_from_world` (4 x 4) stand beside, so that names and world come back, and `covariance`, in
-degrees and mm, with its `parameters` and its `matrix`.
+MATLAB stores pairs of cameras. Each camera after the first has a struct with the fields of
+`toStruct`, for the pair of the first camera and this one. The struct is `stereoParams` for two
+cameras, else `stereoParams_2`, `stereoParams_3`, ...; `stereoParameters(S.stereoParams_2)` creates
+the object. Pixels count from 1, matrices are transposed (row vectors: x2 = x1 R + t), and each file
+states its unit. Further variables preserve the rig: `camera_names`, `cam1_from_world` (4 x 4), and
+`covariance`, in degrees and mm, with its `parameters` and its `matrix`.
 """
 
 import contextlib

@@ -1,7 +1,7 @@
 """MC-Calib's calibrated_cameras_data.yml: `camera_0`, `camera_1`, ... in OpenCV's FileStorage.
 
-`camera_pose_matrix` is the camera in the frame of its group, x_group = P x_cam, in the unit of the
-board. `distortion_type` is 0 for Brown's five coefficients, 1 for Kannala's four.
+`camera_pose_matrix` is the pose P of the camera in the frame of its group, x_group = P x_cam, in
+the unit of the board. `distortion_type` is 0 for Brown's five coefficients, 1 for Kannala's four.
 
 Source: Calibration::saveCamerasParams and Camera.cpp of MC-Calib.
 """

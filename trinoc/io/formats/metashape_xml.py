@@ -1,10 +1,10 @@
 """Agisoft Metashape's cameras.xml (Export Cameras, Agisoft XML), read only.
 
-A sensor has `f` and the offsets `cx`, `cy` of the principal point from the centre of the picture,
-`b1` and `b2` (affinity and skew), and Brown's coefficients, whose p1 and p2 are OpenCV's p2 and
-p1; fisheyes are Kannala and Brandt's. A camera has the motion into its chunk, and the chunk, or
-the component in it, the one into the world, in metres. Cameras without a motion are not aligned
-and are left out.
+A sensor has the focal length `f`, the offsets `cx`, `cy` of the principal point from the image
+centre, and `b1`, `b2` (affinity and skew). Its Brown coefficients p1 and p2 are OpenCV's p2 and p1.
+Fisheye lenses are of Kannala and Brandt's model. A camera has the transform into its chunk. The
+chunk, or the component in it, has the transform into the world, in metres. Cameras without a
+transform are not aligned and are ignored.
 
 Source: Metashape Professional Edition User Manual, appendix on camera models.
 """

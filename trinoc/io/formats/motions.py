@@ -1,4 +1,4 @@
-"""Rigid motions as other tools write them: checked, chained, and as quaternions or vectors."""
+"""Rigid motions in other tools' notations: checks, composition, quaternions, rotation vectors."""
 
 import numpy as np
 import scipy

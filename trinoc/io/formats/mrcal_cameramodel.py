@@ -1,8 +1,8 @@
-"""mrcal's .cameramodel: one camera a file, a rig a folder of NAME.cameramodel.
+"""mrcal's .cameramodel: a file for each camera; a rig is a folder of NAME.cameramodel files.
 
-`extrinsics` is the rotation vector and the translation of x_cam = R x_ref + t, in metres as mrcal's
-own tools count (any other unit works there, too). The uncertainty that mrcal computes needs its
-own optimization inputs: a covariance is lost.
+`extrinsics` contains the rotation vector and the translation of x_cam = R x_ref + t. mrcal's own
+tools use metres, but any other unit works. A covariance is lost, because mrcal computes uncertainty
+from its own optimization inputs.
 """
 
 import ast

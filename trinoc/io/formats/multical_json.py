@@ -1,8 +1,9 @@
-"""multical's calibration.json: `cameras` with their lenses, and `camera_poses` by camera.
+"""multical's calibration.json: lenses under `cameras`, and poses under `camera_poses`.
 
-`R` and `T` are of x_cam = R x_rig + T. multical itself writes the first camera at the origin and
-the others under `NAME_to_FIRST`, which is still the motion from FIRST to NAME. `dist` is a row for
-perspective lenses; a column of four is of multical's fisheye, whose `model` says nothing of it.
+`R` and `T` are those of x_cam = R x_rig + T. multical writes the first camera at the origin. The
+other cameras have the key `NAME_to_FIRST`, which contains the motion from FIRST to NAME. `dist` is
+a row for perspective lenses. A column of four numbers belongs to multical's fisheye, which `model`
+does not name.
 
 Source: io/export_calib.py, io/import_calib.py and camera_fisheye.py of multical.
 """

@@ -1,9 +1,9 @@
 """nerfstudio's transforms.json: one frame for each camera, with its own lens.
 
-Cameras look along -z with y up, as OpenGL's, and poses are world_from_cam. The world stays as it
-is, Z up, as nerfstudio likes it. Pixels count from the corner of the top-left one, as in COLMAP,
-from which nerfstudio takes its principal points. `file_path` is images/NAME.png: put the pictures
-there. Read are also instant-ngp's files, whose focal length is an angle of view.
+Cameras look along -z with y up, as in OpenGL, and poses are world_from_cam. The world is unchanged,
+with Z up. The pixel origin is the corner of the top-left pixel, as in COLMAP, from which nerfstudio
+takes its principal points. `file_path` is images/NAME.png, where the user must put the images.
+Files of instant-ngp, whose focal length is an angle of view, are read, too.
 
 Source: nerfstudio_dataparser.py and cameras.py of nerfstudio, nerf_loader.cu of instant-ngp.
 """

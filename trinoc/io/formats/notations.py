@@ -1,9 +1,8 @@
-"""Text of other tools as plain values, each notation parsed by a library and none of it run.
+"""Parsers of other tools' texts: each notation is parsed by a library to plain values.
 
-`parse_file` is the one place that bounds the size of a file, calls the library, and turns what it
-raises into one sentence. A format declares its notation. What is compiled and may crash on a
-damaged file, such as SciPy's reader of MATLAB files, runs in a process of its own instead
-(`child_process`).
+`parse_file` limits the size of the file, calls the library, and converts its exceptions to one
+sentence. No code in the text is executed. A compiled parser that may crash on a damaged file, such
+as SciPy's reader of MATLAB files, runs in a child process instead (`child_process`).
 """
 
 import os

@@ -1,4 +1,4 @@
-"""Lenses as OpenCV has them, and many tools with it: a 3 x 3 matrix and coefficients."""
+"""Lenses as OpenCV and many tools store them: a 3 x 3 matrix and coefficients."""
 
 from typing import Any
 

@@ -1,9 +1,9 @@
 """ROS `camera_info` YAML, as `camera_calibration` writes and `camera_info_manager` reads it.
 
-A camera_info has no pose. A rig is written as a folder: NAME.yaml for each camera, and its poses in
-`tf_static.yaml`. The rectification is the identity and P is [K 0]: three cameras have no common
-rectified plane. Two that `camera_calibration` calibrated as a pair have one: without
-`tf_static.yaml` a folder is read by R and P.
+A camera_info has no pose. A rig is written as a folder: NAME.yaml for each camera, and the poses in
+`tf_static.yaml`. The rectification R is the identity and P is [K 0], because three cameras have no
+common rectified plane. A pair that `camera_calibration` calibrated has such a plane: a folder
+without `tf_static.yaml` is read by means of R and P.
 
 Source: sensor_msgs/CameraInfo; REP 104.
 """

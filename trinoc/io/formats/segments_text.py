@@ -1,8 +1,8 @@
-"""2-D segments as the text of other detectors: a row x1 y1 x2 y2 for each, and what they add.
+"""2-D segments in the text formats of other detectors: a row for each, beginning x1 y1 x2 y2.
 
-LSD's command line adds width, precision and -log10 of the false alarms (7 columns); ELSED a score
-(5 columns) where asked; LIMAP's segments_<image>.txt begins with the number of rows. All put (0, 0)
-at the centre of the top-left pixel. Read are the ends; what else stands in a row is left out.
+LSD's command line adds width, precision and -log10 of the false alarms (7 columns). ELSED may add a
+score (5 columns). LIMAP's segments_<image>.txt begins with the number of rows. In all formats (0,
+0) is the centre of the top-left pixel. Only the ends are read.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Names, numbers and folders as other tools' text files have them."""
+"""Folders, file names and YAML text for the text files of other tools."""
 
 import contextlib
 import json

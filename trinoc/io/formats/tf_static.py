@@ -1,12 +1,12 @@
 """Poses as static transforms of ROS: a `tf2_msgs/TFMessage` as YAML or JSON.
 
-`ros2 topic pub -1 /tf_static tf2_msgs/msg/TFMessage "$(cat FILE)"` takes either. The JSON has
-besides, under `static_transform_publisher`, the arguments of that program for each camera, as a
-launch file gives them. Each transform is the pose of the frame NAME_optical_frame (x right, y
-down, z forward) in the frame `world`: world_from_cam. Lenses are not in it.
+`ros2 topic pub -1 /tf_static tf2_msgs/msg/TFMessage "$(cat FILE)"` accepts both. The JSON also has
+the arguments of `static_transform_publisher` for each camera, as in a launch file. Each transform
+is the pose world_from_cam of the frame NAME_optical_frame (x right, y down, z forward) in the frame
+`world`. Lenses are not included.
 
-By REP 103 a frame without that ending looks along x, with z up: it is the camera's body, and no
-camera is read from it.
+By REP 103 a frame without this ending looks along x, with z up. It is the body of the camera, and
+no camera is read from it.
 """
 
 import json
