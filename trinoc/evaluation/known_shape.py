@@ -71,14 +71,16 @@ class KnownShape(Value):
 
         Known faces hide the edges behind them. Parts outside the images are not visible.
         """
-        visible = {name: self._before(camera) for name, camera in rig.items()}
+        visible = {name: self._parts_visible_to(camera) for name, camera in rig.items()}
         labels = _labels(len(self.edges_mm))
         shared_parts = parts_in_views_mm(labels, visible, views=min(2, len(rig)))
         remark = "" if len(self.triangles_mm) else ", faces unknown"
         wanted = f"edges visible to two cameras{remark}"
         return type(self)(self.edges_mm, *_read_labels(shared_parts), self.triangles_mm, wanted)
 
-    def _before(self, camera: Camera) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k 2"]]:
+    def _parts_visible_to(
+        self, camera: Camera
+    ) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k 2"]]:
         """Parts of edges visible to a camera: (edge index (k,), start and end along it (k, 2))."""
         edges, extents = [], []
         step = max(1, _PAIRS_PER_BLOCK // max(1, len(self.triangles_mm)))

@@ -66,7 +66,7 @@ def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
     lines, cameras = matches.line_observations(), [rig[name] for name in matches.views]
     open_lens = any(name.rpartition(".")[2] in AFFINE_PARAMETERS for name in rig.parameters)
     states = [camera_state(camera, pose_model, with_intrinsics=open_lens) for camera in cameras]
-    fragment_ends, by_steps, parameters_by_step = _of_fragments(lines, states)
+    fragment_ends, by_steps, parameters_by_step = _fragment_derivatives(lines, states)
     names = [f"{view}.{parameter}" for view in matches.views for parameter in states[0].names]
     by_parameters = _carry_derivative(by_steps, fragment_ends, ends) @ np.linalg.inv(
         parameters_by_step
@@ -214,7 +214,7 @@ def _known_pose_model(rig: Rig) -> PoseModel | None:
 
 
 @in_float64
-def _of_fragments(
+def _fragment_derivatives(
     lines: LineObservations, states: Sequence[CameraState]
 ) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 k"], Float[np.ndarray, "k k"]]:
     """Ends of the common parts of the fragments, and derivatives for the errors of the cameras.
