@@ -120,8 +120,8 @@ def fit_windows(
     size_px : (width, height)
         Size of every window.
     alpha : float
-        0: the largest windows inside the fields, so that all pixels are valid. 1: the smallest
-        windows around the fields. For values between, scale and position are interpolated.
+        Size of the windows. 0: the largest inside the fields, so that all pixels are valid. 1: the
+        smallest around the fields. For values between, scale and position are interpolated.
 
     Returns
     -------

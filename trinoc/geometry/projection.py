@@ -32,7 +32,7 @@ class Projection(NamedTuple):
     uv_px : (..., 2)
         Pixel of each point.
     depth : (...)
-        z in the camera frame, positive in front of the camera. In mm if the third row of the
+        Depth z in the camera frame, positive in front of the camera. In mm if the third row of the
         projection matrix has a left part of unit length.
     by_point : (..., 2, 3)
         Derivative of the pixel by the coordinates of the point, px/mm.

@@ -48,8 +48,8 @@ class Junctions(Table):
     covariance_px2 : (j, 2, 2)
         Covariance of `uv_px`.
     kind : (j,)
-        "L": two ends. "Y": three ends. "T": an end on the body of a segment, or three ends of which
-        two are collinear. "X": four ends or more.
+        Type. "L": two ends. "Y": three ends. "T": an end on the body of a segment, or three ends
+        of which two are collinear. "X": four ends or more.
     junction : (m,)
         Index of the junction in each row.
     segment : (m,)

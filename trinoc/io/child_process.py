@@ -37,7 +37,7 @@ def read_in_child(
     Parameters
     ----------
     reader : str
-        "module:function". The function takes the content and returns a JSON value. The child
+        Name "module:function". The function takes the content and returns a JSON value. The child
         imports the module, which should therefore import little.
     content : bytes
         Content of the file.

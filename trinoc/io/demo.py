@@ -29,7 +29,7 @@ def demo_paths(kind: str) -> dict[str, Path]:
     Parameters
     ----------
     kind : str
-        "sheet" for the images of the calibration sheet, "scene" for those of the object.
+        Choice of images: "sheet" for the calibration sheet, "scene" for the object.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def demo_images(kind: str) -> dict[str, np.ndarray]:
     Parameters
     ----------
     kind : str
-        "sheet" for the images of the calibration sheet, "scene" for those of the object.
+        Choice of images: "sheet" for the calibration sheet, "scene" for the object.
 
     Returns
     -------

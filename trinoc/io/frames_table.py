@@ -50,7 +50,7 @@ class Frames(Table):
     frame : (f,)
         Name of each frame.
     status : (f,)
-        "ok", or the reason why the frame has no matches.
+        Either "ok", or the reason why the frame has no matches.
     tracks : (f,)
         Number of tracks of each frame.
     segments : (f, v)

@@ -61,8 +61,9 @@ def load_shape(
     - truth.json of a synthetic scene: the straight edges that are visible in two images should be
       detected.
     - Other text: a row of six numbers is an edge; a row of three numbers is a point of a polyline,
-      and a blank line separates polylines. Commas or blanks separate numbers. Lines that begin with
-      # are skipped. A first line may name the columns, in any order: x1 y1 z1 x2 y2 z2, or x y z.
+      and a blank line separates polylines. Commas or blanks separate numbers. Lines that begin
+      with `#` are skipped. A first line may name the columns, in any order: x1 y1 z1 x2 y2 z2, or
+      x y z.
     """
     file = Path(path)
     if not (np.isfinite(unit_mm) and unit_mm > 0):

@@ -45,7 +45,7 @@ class CameraStatus(NamedTuple):
     Attributes
     ----------
     status : str
-        "converged", "suspect" or another status of a fit.
+        Status of the fit: "converged", "suspect" or another.
     notes : tuple of str
         Sentences for the user.
     """

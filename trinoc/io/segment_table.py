@@ -39,9 +39,9 @@ def load_segments(path: str | os.PathLike[str]) -> Segments:
 
     Notes
     -----
-    In a text table, commas, semicolons or blanks separate numbers, and lines that begin with # are
-    skipped. A first line, or a comment above the numbers, may name the columns. Then they may have
-    any order and be of these kinds:
+    In a text table, commas, semicolons or blanks separate numbers, and lines that begin with `#`
+    are skipped. A first line, or a comment above the numbers, may name the columns. Then they may
+    have any order and be of these kinds:
 
     - ends `x1 y1 x2 y2`; also `start_x`, `x0 y0 x1 y1`, `row1 col1 row2 col2` and similar;
     - the middle `xm ym`, with the vector `full_dx full_dy` from end to end, or `half_dx half_dy`

@@ -219,7 +219,7 @@ class ArrayFields:
         name : str
             Name of the array, without the prefix.
         kind : str
-            "f" for float64, "i" for int64, "b" for bool, "U" for strings.
+            Type: "f" for float64, "i" for int64, "b" for bool, "U" for strings.
         shape : tuple
             Required shape; None accepts any length.
         what : str

@@ -97,8 +97,8 @@ class Format:
     reads : tuple of str
         Kinds of values that can be read. Empty for a format that is only written.
     place : str
-        "file", "folder", or "file or folder". In the last case a lens is a file and a rig is a
-        folder.
+        Either "file", "folder", or "file or folder". In the last case a lens is a file and a rig
+        is a folder.
     endings : tuple of str
         Accepted endings of the file name; empty if any ending is accepted.
     unit_mm : float or None
