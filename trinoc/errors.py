@@ -24,11 +24,11 @@ class TrinocError(Exception):
 
 
 class InputError(TrinocError, ValueError):
-    """An argument is invalid."""
+    """An argument, a file or a value in it is invalid."""
 
 
 class DetectionError(TrinocError):
-    """The sheet was not detected in an image, or not reliably."""
+    """The calibration sheet was not detected in an image, or not reliably."""
 
 
 class CalibrationError(TrinocError):
@@ -37,9 +37,9 @@ class CalibrationError(TrinocError):
     Attributes
     ----------
     failures : dict of str
-        Reason for each failed camera.
+        Reason for each failed camera, keyed by camera name.
     result : CalibrationResult or None
-        Result of the other cameras; None if there is none.
+        Result of the other cameras; None if no camera was calibrated.
     """
 
     def __init__(
@@ -55,14 +55,14 @@ class MatchError(TrinocError):
 
 
 def list_names(names: Iterable[str], most: int = MOST_NAMES) -> str:
-    """Names for a sentence: at most `most`, then the number of the others."""
+    """Join names for a sentence: at most `most` names, then the number of the remaining names."""
     all_names = list(names)
     remaining = len(all_names) - most
     return ", ".join(all_names[:most]) + (f" and {remaining} more" if remaining > 0 else "")
 
 
 def check_kind(value: object, kinds: type | tuple[type, ...], name: str, wanted: str) -> None:
-    """Raise InputError if an argument has the wrong type.
+    """Raise `InputError` if an argument has the wrong type.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def check_kind(value: object, kinds: type | tuple[type, ...], name: str, wanted:
     name : str
         Name of the argument in the message, such as "rig".
     wanted : str
-        Remedy: the argument to give.
+        Description in the message of the argument to give.
     """
     if not isinstance(value, kinds):
         kind = "None" if value is None else f"of type {type(value).__name__}"
@@ -81,7 +81,10 @@ def check_kind(value: object, kinds: type | tuple[type, ...], name: str, wanted:
 
 
 def whole_number(value: object, name: str) -> int:
-    """Convert a whole number, also 6.0, to int. Raises InputError for other values."""
+    """Convert a whole number, such as 6 or 6.0, to int.
+
+    Raise `InputError` for other values; `name` names the value in the message.
+    """
     number = real_number(value, name)
     if number != int(number):
         raise InputError(f"{name} is {value}, but must be a whole number.")
@@ -89,7 +92,10 @@ def whole_number(value: object, name: str) -> int:
 
 
 def real_number(value: object, name: str) -> float:
-    """Convert a finite number to float. Raises InputError for other values and for texts."""
+    """Convert a finite number to float.
+
+    Raise `InputError` for other values, also for texts; `name` names the value in the message.
+    """
     if getattr(value, "ndim", None) == 0 and hasattr(value, "item"):
         value = value.item()  # pyright: ignore[reportAttributeAccessIssue]
     if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
@@ -98,11 +104,14 @@ def real_number(value: object, name: str) -> float:
 
 
 def expect_path(path: object) -> None:
-    """Raise InputError if an argument is not the path of a file or folder."""
+    """Raise `InputError` if the argument is not a path: a string or `os.PathLike`."""
     check_kind(path, (str, os.PathLike), "name of the file", 'a path, such as "rig.json"')
 
 
 def expect_extra(library: str, extra: str) -> None:
-    """Raise InputError, with the install command, if an optional library is missing."""
+    """Raise `InputError` if an optional library is not installed.
+
+    The message gives the install command with the name of the package's extra.
+    """
     if importlib.util.find_spec(library) is None:
         raise InputError(f"This needs {library}. Run pip install 'trinoc[{extra}]'.")

@@ -10,16 +10,17 @@ _WHOLE_STEP = 1e-6
 
 
 class NearestSegment(NamedTuple):
-    """Nearest segment of each point.
+    """For each of n points, the nearest one of several 3-D segments.
 
     Attributes
     ----------
     segment : (n,)
-        Index of the segment; -1 if there are no segments.
+        Index of the nearest segment; -1 if there are no segments.
     position : (n,)
-        Position of the nearest point on it: 0 at its first end, 1 at its second.
+        Position along the segment of its point nearest to the query point: 0 at the first end, 1 at
+        the second end.
     distance_mm : (n,)
-        Distance; infinite if there are no segments.
+        Distance of the query point from the segment; infinite if there are no segments.
     """
 
     segment: Int[np.ndarray, "n"]
@@ -28,21 +29,24 @@ class NearestSegment(NamedTuple):
 
 
 class LengthsNear(NamedTuple):
-    """Distances of points along segments from other segments, with the length that each represents.
+    """Distances of sample points on segments from the nearest of other segments.
 
     Attributes
     ----------
     distance_mm : (k,)
-        Distance from the nearest other segment; infinite if there is none.
+        Distance of each sample point; infinite if there are no other segments.
     length_mm : (k,)
-        Length that each point represents.
+        Length of the piece of segment that each sample point represents.
     """
 
     distance_mm: Float[np.ndarray, "k"]
     length_mm: Float[np.ndarray, "k"]
 
     def share_within(self, tolerance_mm: float) -> float:
-        """Share of the length within a distance; 0 if there is no length."""
+        """Share of the total length, 0 to 1, with a distance of at most `tolerance_mm`.
+
+        0 if the total length is 0.
+        """
         total_mm = float(self.length_mm.sum())
         near_mm = float(self.length_mm[self.distance_mm <= tolerance_mm].sum())
         return near_mm / total_mm if total_mm > 0 else 0.0
@@ -51,7 +55,7 @@ class LengthsNear(NamedTuple):
 def measure_near_lengths(
     segments_mm: Float[np.ndarray, "n 2 3"], others_mm: Float[np.ndarray, "m 2 3"], step_mm: float
 ) -> LengthsNear:
-    """Distances of segments, sampled every `step_mm`, from the nearest of the others."""
+    """Sample segments every `step_mm` and measure the distances from the nearest of `others_mm`."""
     points, length = sampled_segments(segments_mm, step_mm)
     return LengthsNear(distance_to_segments_mm(points, others_mm), length)
 
@@ -59,7 +63,10 @@ def measure_near_lengths(
 def sampled_segments(
     segments_mm: Float[np.ndarray, "n 2 3"], step_mm: float
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]:
-    """(points, length of each): points along segments, at least two on each."""
+    """Sample points on segments: (points (k, 3), length that each point represents (k,)), mm.
+
+    Points are about `step_mm` apart; each segment has at least two.
+    """
     length = np.linalg.norm(segments_mm[:, 1] - segments_mm[:, 0], axis=1)
     # The small term keeps rounding from changing the number of points.
     count = np.maximum(2, np.floor(length / step_mm + _WHOLE_STEP).astype(np.int64) + 1)
@@ -73,14 +80,14 @@ def sampled_segments(
 def distance_to_segments_mm(
     points_mm: Float[np.ndarray, "n 3"], segments_mm: Float[np.ndarray, "m 2 3"]
 ) -> Float[np.ndarray, "n"]:
-    """Distance of each point from the nearest segment, (n,); infinite if there is none."""
+    """Distance of each point from the nearest segment, (n,) mm; infinite without segments."""
     return nearest_segments(points_mm, segments_mm).distance_mm
 
 
 def nearest_segments(
     points_mm: Float[np.ndarray, "n 3"], segments_mm: Float[np.ndarray, "m 2 3"]
 ) -> NearestSegment:
-    """Nearest segment of each point."""
+    """Find the nearest segment of each point."""
     count = len(points_mm)
     nearest = NearestSegment(np.full(count, -1), np.zeros(count), np.full(count, np.inf))
     if len(segments_mm) == 0:

@@ -33,7 +33,10 @@ LEAST_LINES_TO_ALIGN = 3
 
 
 class EvaluationStatus(enum.Enum):
-    """Result of the comparison, as a sentence; all but COMPARED have a remedy."""
+    """Result of an evaluation: lines were compared with edges, or the reason why not.
+
+    Each value is a sentence for the user; a reason also has a remedy.
+    """
 
     COMPARED = "Lines were compared with the known edges."
     NO_LINES = "There is no line to compare. Match segments first, or accept a lower posterior."
@@ -44,7 +47,7 @@ class EvaluationStatus(enum.Enum):
 
 
 class ErrorQuantiles(NamedTuple):
-    """Median, 90 % and 95 % quantiles of errors."""
+    """Quantiles of errors, in the unit of the errors: median, 90 % and 95 %."""
 
     median: float
     at_90: float
@@ -53,48 +56,48 @@ class ErrorQuantiles(NamedTuple):
 
 @runtime_checkable
 class LinesInSpace(Protocol):
-    """Any value with 3-D segments and their covariance, such as `Matches`."""
+    """Interface of a value with 3-D segments and their covariance, such as `Matches`."""
 
     @property
     def lines_mm(self) -> Float[np.ndarray, "t 2 3"]:
-        """Ends of the segments, (t, 2, 3)."""
+        """Ends of each segment in the world frame, (t, 2, 3)."""
         ...
 
     @property
     def covariance_mm2(self) -> Float[np.ndarray, "t 6 6"]:
-        """Covariance of the ends of each segment, (t, 6, 6)."""
+        """Covariance of the two ends of each segment, (t, 6, 6)."""
         ...
 
 
 class Evaluation(Displayable, Value):
-    """Comparison of 3-D lines with known edges.
+    """Result of a comparison of estimated 3-D lines with known edges.
 
     Attributes
     ----------
     status : EvaluationStatus
         COMPARED, or the reason why nothing was compared. Numbers are then 0 or NaN.
     wanted : str
-        Description of the edges that completeness refers to.
+        Description of the wanted parts: the parts of edges that should be detected.
     lines : (t,)
-        Edge that each line lies on; -1 for none.
+        Index of the edge that each line lies on; -1 for none.
     length_put_out_mm : float
-        Total length of the lines.
+        Total length of the estimated lines.
     length_wanted_mm : float
-        Total length of the edges that should be detected.
+        Total length of the wanted parts.
     tolerances_mm : tuple of float
-        Distances of `precision` and `completeness`.
+        Distances at which `precision` and `completeness` are computed.
     precision : tuple of float
-        Share of the lines' length within each distance of an edge.
+        For each tolerance: the share of the lines' length at most this far from an edge.
     completeness : tuple of float
-        Share of the wanted length within each distance of a line.
+        For each tolerance: the share of the wanted length at most this far from a line.
     distance_mm : ErrorQuantiles
-        Distance of the lines' length from the nearest edge.
+        Distance of points on the lines from the nearest edge.
     angle_deg : ErrorQuantiles
-        Angle between lines and their edges.
+        Angle between each line and its edge.
     normalised : NormalisedErrors
-        Errors across the lines that lie on an edge, in sigmas.
+        Errors perpendicular to the lines, divided by their sigma, for lines that lie on an edge.
     motion : RigidMotion or None
-        Motion of the alignment, if requested. All figures apply after it.
+        Motion that was applied to the lines before the comparison, if requested.
     """
 
     status: EvaluationStatus = eqx.field(static=True)
@@ -111,7 +114,7 @@ class Evaluation(Displayable, Value):
     motion: RigidMotion | None
 
     def record(self) -> dict[str, Any]:
-        """All numbers by name, as a row of a table; NaN if undefined."""
+        """All numbers of the evaluation, keyed by name, as one row of a table; NaN if undefined."""
         shares = {
             f"{name}_{tolerance:g}mm": share
             for name in ("precision", "completeness")
@@ -139,26 +142,27 @@ def evaluate(
     tolerances_mm: Sequence[float] = TOLERANCES_MM,
     aligned: bool = False,
 ) -> Evaluation:
-    """Compare 3-D lines with known edges.
+    """Compare estimated 3-D lines with known edges.
 
     Parameters
     ----------
     lines : Matches, Wireframe, UncertainLines or (t, 2, 3)
-        Lines with covariance, or their ends only. The `lines` of a refinement include the errors of
-        the cameras.
+        Lines with covariance, or only their ends, mm. To include the errors of the cameras, give
+        `lines` of a refinement.
     shape : KnownShape, SceneTruth or (m, 2, 3)
-        Known edges in the same frame, for example from `trinoc.io.load_shape`, or ends in mm. Of a
-        synthetic scene, the parts visible in two images are wanted.
+        Known edges in the same frame, for example from `trinoc.io.load_shape`, or their ends, mm.
+        Of a synthetic scene, the parts visible in two images should be detected.
     tolerances_mm : sequence of float
-        Distances of precision and completeness. A line lies on an edge within the largest.
+        Distances for precision and completeness. A line lies on an edge if it is within the
+        largest.
     aligned : bool
-        Align the lines with the shape by a rigid motion first. This removes six parameters from the
-        error; `motion` reports them.
+        True: first align the lines with the edges by a rigid motion. This removes six parameters
+        from the errors; `Evaluation.motion` contains the motion.
 
     Returns
     -------
     Evaluation
-        Lengths are sampled every 0.25 mm, or at 50,000 points if that is less.
+        Lengths are sampled every 0.25 mm, or at 50,000 points if these are fewer.
 
     Raises
     ------
@@ -173,17 +177,17 @@ def evaluate(
     if aligned and len(lines_with_errors) >= LEAST_LINES_TO_ALIGN and len(known_shape.edges_mm):
         motion = align(lines_with_errors.ends_mm, known_shape.edges_mm)
         lines_with_errors = motion.move_lines(lines_with_errors)
-    ends, edges, reach = lines_with_errors.ends_mm, known_shape.edges_mm, tolerances[-1]
+    ends, edges, largest_tolerance = lines_with_errors.ends_mm, known_shape.edges_mm, tolerances[-1]
     line_lengths = measure_near_lengths(ends, edges, _step_mm(ends))
     wanted_lengths = measure_near_lengths(
         known_shape.wanted_mm, ends, _step_mm(known_shape.wanted_mm)
     )
-    edge_of = edge_of_lines(ends, edges, reach)
-    on = np.flatnonzero(edge_of >= 0)
-    offsets = offsets_across(select_lines(lines_with_errors, on), edges[edge_of[on]])
-    angles = angles_deg(ends[on], edges[edge_of[on]])
+    edge_of = edge_of_lines(ends, edges, largest_tolerance)
+    matched = np.flatnonzero(edge_of >= 0)
+    offsets = offsets_across(select_lines(lines_with_errors, matched), edges[edge_of[matched]])
+    angles = angles_deg(ends[matched], edges[edge_of[matched]])
     return Evaluation(
-        _status(lines_with_errors, known_shape, line_lengths.share_within(reach)),
+        _status(lines_with_errors, known_shape, line_lengths.share_within(largest_tolerance)),
         known_shape.wanted,
         edge_of,
         float(line_lengths.length_mm.sum()),
@@ -252,7 +256,7 @@ def _step_mm(segments_mm: Float[np.ndarray, "n 2 3"]) -> float:
 
 
 def _quantiles(errors: Float[np.ndarray, "k"], weight: Float[np.ndarray, "k"]) -> ErrorQuantiles:
-    """Weighted quantiles of errors; NaN if there are none."""
+    """Weighted quantiles of errors; NaN if there are no errors."""
     if weight.sum() == 0 or not np.isfinite(errors).all():
         return ErrorQuantiles(*[float("nan")] * 3)
     quantiles = np.quantile(errors, [0.5, 0.9, 0.95], weights=weight, method="inverted_cdf")

@@ -19,20 +19,20 @@ _PAIRS_PER_BLOCK = 1_000_000
 
 
 class KnownShape(Value):
-    """Edges in space, and the parts of them that should be detected.
+    """Known edges in space, and the parts of them that should be detected.
 
     Attributes
     ----------
     edges_mm : (m, 2, 3)
-        Ends of every edge. A line on any of them is right.
+        Ends of every edge. A detected line on any edge is right.
     wanted_edge : (k,)
-        Edge of each part that should be detected.
+        Index of the edge of each part that should be detected.
     wanted_extent : (k, 2)
-        Start and stop of the part along the edge: 0 at its first end, 1 at its second.
+        Start and end of the part along its edge: 0 at the edge's first end, 1 at its second end.
     triangles_mm : (f, 3, 3)
         Faces that hide edges behind them; empty if unknown.
     wanted : str
-        Description of the wanted parts.
+        Description of the parts that should be detected.
     """
 
     edges_mm: Float[np.ndarray, "m 2 3"]
@@ -47,7 +47,7 @@ class KnownShape(Value):
         edges_mm: Float[np.ndarray, "m 2 3"],
         triangles_mm: Float[np.ndarray, "f 3 3"] | None = None,
     ) -> "KnownShape":
-        """Shape whose edges should all be detected."""
+        """Create a shape of which every edge should be detected."""
         count = len(edges_mm)
         faces = np.zeros((0, 3, 3)) if triangles_mm is None else triangles_mm
         full_extent = np.tile([0.0, 1.0], (count, 1))
@@ -55,10 +55,11 @@ class KnownShape(Value):
 
     @classmethod
     def of_scene(cls, truth: SceneTruth, *, grey_step: float = GREY_STEP) -> "KnownShape":
-        """Shape of a synthetic scene: straight edges visible in two images should be detected.
+        """Create the shape of a synthetic scene.
 
-        Visible means a difference of at least `grey_step` grey levels across the edge. Lines on
-        other edges, such as chords of a rim, are also right.
+        The parts of straight edges that are visible in two images should be detected. Visible means
+        a difference of at least `grey_step` grey levels across the edge. Lines on other edges, such
+        as chords of a rim, are also right.
         """
         labelled = SceneTruth(_labels(len(truth.edges_mm)), truth.edge_kinds, truth.seen)
         parts = shown_parts_mm(labelled, views=2, grey_step=grey_step, kinds=("edge",))
@@ -66,40 +67,45 @@ class KnownShape(Value):
         return cls(truth.edges_mm, *_read_labels(parts), np.zeros((0, 3, 3)), wanted)
 
     def visible_to(self, rig: Rig) -> "KnownShape":
-        """The same shape, with the edges that count as visible: those that two cameras see.
+        """Copy of this shape in which parts visible to two cameras of `rig` should be detected.
 
         Known faces hide the edges behind them. Parts outside the images are not visible.
         """
-        visible = {name: self._before(camera) for name, camera in rig.items()}
+        visible = {name: self._parts_visible_to(camera) for name, camera in rig.items()}
         labels = _labels(len(self.edges_mm))
         shared_parts = parts_in_views_mm(labels, visible, views=min(2, len(rig)))
         remark = "" if len(self.triangles_mm) else ", faces unknown"
         wanted = f"edges visible to two cameras{remark}"
         return type(self)(self.edges_mm, *_read_labels(shared_parts), self.triangles_mm, wanted)
 
-    def _before(self, camera: Camera) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k 2"]]:
-        """(edge, start and stop along it) of the parts that are visible to a camera."""
+    def _parts_visible_to(
+        self, camera: Camera
+    ) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k 2"]]:
+        """Parts of edges visible to a camera: (edge index (k,), start and end along it (k, 2))."""
         edges, extents = [], []
         step = max(1, _PAIRS_PER_BLOCK // max(1, len(self.triangles_mm)))
-        for part in blocks(len(self.edges_mm), step):
-            visible = visible_parts(camera, self.edges_mm[part], self.triangles_mm)
-            edges.append(part.start + visible.segment)
+        for rows in blocks(len(self.edges_mm), step):
+            visible = visible_parts(camera, self.edges_mm[rows], self.triangles_mm)
+            edges.append(rows.start + visible.segment)
             extents.append(visible.extent)
         return np.concatenate(edges), np.concatenate(extents)
 
     @property
     def wants_every_edge(self) -> bool:
-        """True if the visibility in images is unknown."""
+        """True if every edge should be detected, because the visibility is unknown."""
         return self.wanted == EVERY_EDGE
 
     @property
     def wanted_mm(self) -> Float[np.ndarray, "k 2 3"]:
-        """Ends of the wanted parts, (k, 2, 3)."""
+        """Ends of the parts that should be detected, (k, 2, 3)."""
         return points_along(self.edges_mm[self.wanted_edge], self.wanted_extent)
 
 
 def _labels(count: int) -> Float[np.ndarray, "m 2 3"]:
-    """Pseudo-edges whose points have the edge's index as x and the position along it as y."""
+    """Artificial edges that encode edge indices and positions as coordinates.
+
+    Every point on edge i has x = i, and y is its position along the edge, 0 to 1.
+    """
     labels = np.zeros((count, 2, 3))
     labels[:, :, 0] = np.arange(count)[:, None]
     labels[:, 1, 1] = 1.0

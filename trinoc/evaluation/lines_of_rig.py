@@ -33,15 +33,15 @@ TRACKS, JOINED, CORNERS, WIREFRAME = "tracks", "joined", "corners", "wireframe"
 
 
 def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
-    """Return the matches' lines with the covariance of the rig's parameters.
+    """Return the 3-D lines of matches with the covariance that comes from the rig's errors.
 
     Parameters
     ----------
     matches : Matches
         Result of `match_segments`.
     rig : Rig
-        Rig that the segments were matched with. Without a covariance it is assumed exact; so it is
-        if `matches` lack the covariance of their fragments.
+        Rig that the segments were matched with. It is assumed exact if it has no covariance, or if
+        `matches` lack the covariance of their fragments.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
     Raises
     ------
     InputError
-        If the rig lacks a camera of the matches, or its covariance lacks parameters of a pose.
+        If the rig lacks a camera of the matches, or its covariance lacks pose parameters.
     """
     missing = [name for name in matches.views if name not in rig.names]
     if missing:
@@ -66,21 +66,26 @@ def lines_of_rig(matches: Matches, rig: Rig) -> UncertainLines:
     lines, cameras = matches.line_observations(), [rig[name] for name in matches.views]
     open_lens = any(name.rpartition(".")[2] in AFFINE_PARAMETERS for name in rig.parameters)
     states = [camera_state(camera, pose_model, with_intrinsics=open_lens) for camera in cameras]
-    common, by_steps, by_step = _of_fragments(lines, states)
+    fragment_ends, by_steps, parameters_by_step = _fragment_derivatives(lines, states)
     names = [f"{view}.{parameter}" for view in matches.views for parameter in states[0].names]
-    by_parameters = _carry_derivative(by_steps, common, ends) @ np.linalg.inv(by_step)
+    by_parameters = _carry_derivative(by_steps, fragment_ends, ends) @ np.linalg.inv(
+        parameters_by_step
+    )
     # A lens without parameters in the covariance is assumed exact.
     return UncertainLines(ends, fragment_covariance, by_parameters, rig.covariance_of(names))
 
 
 @in_float64
 def with_rig_covariance(matches: Matches, rig: Rig) -> Matches:
-    """Return matches with `rig_covariance_mm2`, the covariance of each line by errors of the rig.
+    """Return a copy of matches with `rig_covariance_mm2`.
+
+    This is the part of each line's covariance that comes from the errors of the rig.
 
     Parameters
     ----------
     matches : Matches
-        Result of `match_segments`. `covariance_mm2` remains that of the segments' errors.
+        Result of `match_segments`. Its `covariance_mm2`, from errors of the segments, is not
+        changed.
     rig : Rig
         Rig that the segments were matched with.
 
@@ -108,11 +113,28 @@ def with_rig_covariance(matches: Matches, rig: Rig) -> Matches:
 
 
 def lines_of_form(matches: Matches, rig: Rig, form: str) -> UncertainLines:
-    """`lines_of_rig` for lines derived from tracks, such as joined lines or a wire frame.
+    """Return 3-D lines that are derived from tracks, with the covariance from the rig's errors.
 
-    `form` is TRACKS; JOINED for joined collinear lines; CORNERS for these moved to their corners;
-    WIREFRAME for the edges of the wire frame. A derived line has the camera errors of its longest
-    track. Raises InputError if the matches lack the covariance of their fragments.
+    A derived line has the camera errors of its longest track.
+
+    Parameters
+    ----------
+    matches : Matches
+        Result of `match_segments`.
+    rig : Rig
+        Rig that the segments were matched with.
+    form : str
+        TRACKS: a line for each track. JOINED: joined collinear lines. CORNERS: joined lines whose
+        ends are moved to corners. WIREFRAME: edges of the wire frame.
+
+    Returns
+    -------
+    UncertainLines
+
+    Raises
+    ------
+    InputError
+        If the matches lack the covariance of their fragments.
     """
     tracks = lines_of_rig(matches, rig)
     if form == TRACKS:
@@ -120,21 +142,22 @@ def lines_of_form(matches: Matches, rig: Rig, form: str) -> UncertainLines:
     if form == WIREFRAME:
         from trinoc.match.wire_frame.build import wireframe
 
-        answer = wireframe(matches, rig)
-        ends, fragment_covariance = answer.lines_mm, answer.covariance_mm2
+        derived_lines = wireframe(matches, rig)
+        ends, fragment_covariance = derived_lines.lines_mm, derived_lines.covariance_mm2
     else:
         # Here, as above: every matching imports this file, and puts no tracks together.
         from trinoc.match.line_map.collinear_merge import join_collinear
         from trinoc.match.line_map.corners import snap_corners
 
-        answer = join_collinear(matches, rig)
-        ends, fragment_covariance = answer.lines_mm, answer.covariance_mm2
+        derived_lines = join_collinear(matches, rig)
+        ends, fragment_covariance = derived_lines.lines_mm, derived_lines.covariance_mm2
         if form == CORNERS:
-            snapped = snap_corners(answer)
+            snapped = snap_corners(derived_lines)
             ends, fragment_covariance = snapped.lines_mm, snapped.lines_covariance_mm2
     length = np.linalg.norm(tracks.ends_mm[:, 1] - tracks.ends_mm[:, 0], axis=1)
     longest = np.array(
-        [t[length[t].argmax()] for t in map(answer.tracks_of, range(len(answer)))], dtype=np.int64
+        [t[length[t].argmax()] for t in map(derived_lines.tracks_of, range(len(derived_lines)))],
+        dtype=np.int64,
     )
     by_parameters = _carry_derivative(tracks.by_parameters[longest], tracks.ends_mm[longest], ends)
     return UncertainLines(ends, fragment_covariance, by_parameters, tracks.parameter_covariance)
@@ -143,7 +166,7 @@ def lines_of_form(matches: Matches, rig: Rig, form: str) -> UncertainLines:
 def independent_lines(
     lines_mm: Float[np.ndarray, "t 2 3"], covariance_mm2: Float[np.ndarray, "t 6 6"]
 ) -> UncertainLines:
-    """Lines with independent errors, for cameras that are assumed exact."""
+    """Create lines without shared errors, for cameras that are assumed exact."""
     count = len(lines_mm)
     return UncertainLines(lines_mm, covariance_mm2, np.zeros((count, 6, 0)), np.zeros((0, 0)))
 
@@ -153,20 +176,24 @@ def _carry_derivative(
     of_ends_mm: Float[np.ndarray, "t 2 3"],
     to_ends_mm: Float[np.ndarray, "t 2 3"],
 ) -> Float[np.ndarray, "t 6 k"]:
-    """Derivative of other ends on the same lines, as linear combinations of the known ends."""
+    """Convert the derivative of two points on each line to that of two other points on it.
+
+    `derivative` belongs to `of_ends_mm`; the result belongs to `to_ends_mm`, which are linear
+    combinations of `of_ends_mm`.
+    """
     count = len(of_ends_mm)
     step = of_ends_mm[:, 1] - of_ends_mm[:, 0]
     position = np.einsum("tei,ti->te", to_ends_mm - of_ends_mm[:, :1], step)
     position = position / np.sum(step**2, axis=1)[:, None]
     weight = np.stack([1 - position, position], axis=2)
-    parts = derivative.reshape(count, 2, 3, derivative.shape[2])
-    return np.einsum("tef,tfik->teik", weight, parts).reshape(derivative.shape)
+    end_blocks = derivative.reshape(count, 2, 3, derivative.shape[2])
+    return np.einsum("tef,tfik->teik", weight, end_blocks).reshape(derivative.shape)
 
 
 def _pose_model(rig: Rig) -> PoseModel | None:
     """Pose model of the rig's covariance; None without a covariance.
 
-    Raises InputError if incomplete.
+    Raise `InputError` if the covariance lacks pose parameters of a camera.
     """
     pose_model = _known_pose_model(rig)
     if pose_model is None and rig.parameters:
@@ -178,7 +205,7 @@ def _pose_model(rig: Rig) -> PoseModel | None:
 
 
 def _known_pose_model(rig: Rig) -> PoseModel | None:
-    """Pose model with parameters of all cameras in the covariance; None if there is none."""
+    """Pose model whose parameters are in the covariance for every camera; None if there is none."""
     for pose_model in (PoseModel.AIM_FREE, PoseModel.AIMED):
         names = itertools.product(rig.names, pose_model.parameter_names)
         if {f"{name}.{parameter}" for name, parameter in names} <= set(rig.parameters):
@@ -187,10 +214,20 @@ def _known_pose_model(rig: Rig) -> PoseModel | None:
 
 
 @in_float64
-def _of_fragments(
+def _fragment_derivatives(
     lines: LineObservations, states: Sequence[CameraState]
 ) -> tuple[Float[np.ndarray, "t 2 3"], Float[np.ndarray, "t 6 k"], Float[np.ndarray, "k k"]]:
-    """(ends of the common parts, Jacobian by the cameras' steps, parameters by steps)."""
+    """Ends of the common parts of the fragments, and derivatives for the errors of the cameras.
+
+    Returns
+    -------
+    ends_mm : (t, 2, 3)
+        Ends of the part of each line that all of its views show.
+    by_steps : (t, 6, k)
+        Derivative of the ends by the local coordinates of the cameras.
+    parameters_by_step : (k, k)
+        Derivative of the camera parameters by the local coordinates.
+    """
     cameras = stack_states(states)
     columns = (lines.fragments_px, lines.covariance_px2, lines.seen)
     of_tracks = in_blocks(partial(_derivatives, cameras), BLOCK, *columns)

@@ -17,14 +17,14 @@ _CROSSES_DEG = 60.0
 
 
 class OffsetsAcross(NamedTuple):
-    """Offsets of edges from the two ends of their lines, perpendicular to the lines.
+    """Offsets from lines to their known edges, perpendicular to the lines, at the lines' ends.
 
     Attributes
     ----------
     offset_mm : (n, 4)
-        Offsets in two perpendicular directions at the first end, then at the second.
+        Offsets in two perpendicular directions at the first end of a line, then at the second end.
     fragment_covariance_mm2 : (n, 4, 4)
-        Covariance of these offsets by the line's own fragments.
+        Part of the covariance of the offsets that comes from the noise of the line's fragments.
     by_parameters : (n, 4, k)
         Derivative of the offsets by the camera parameters.
     """
@@ -37,7 +37,7 @@ class OffsetsAcross(NamedTuple):
 def select_lines(
     lines: UncertainLines, rows: Int[np.ndarray, "n"] | Bool[np.ndarray, "t"]
 ) -> UncertainLines:
-    """Select lines by index or mask."""
+    """Return the lines that an index array or a mask selects."""
     return UncertainLines(
         lines.ends_mm[rows],
         lines.fragment_covariance_mm2[rows],
@@ -49,10 +49,10 @@ def select_lines(
 def edge_of_lines(
     lines_mm: Float[np.ndarray, "t 2 3"], edges_mm: Float[np.ndarray, "m 2 3"], reach_mm: float
 ) -> Int[np.ndarray, "t"]:
-    """Edge that each line lies on, (t,); -1 for none.
+    """Index of the edge that each line lies on, (t,); -1 for none.
 
-    It is the edge nearest to at least half of the line's length, within `reach_mm`, and not at a
-    large angle to the line.
+    More than half of the line must be nearer to this edge than to any other edge, and at most
+    `reach_mm` away. The angle between line and edge must be below 60 degrees.
     """
     position = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
     points = points_along(lines_mm, np.tile(position, (len(lines_mm), 1)))
@@ -61,29 +61,29 @@ def edge_of_lines(
         -1, _SAMPLES
     )
     # A majority value is the median of the sorted indices.
-    middle = np.sort(edge_index, axis=1)[:, _SAMPLES // 2]
-    has_majority = (edge_index == middle[:, None]).sum(axis=1) * 2 > _SAMPLES
-    edge = np.where(has_majority, middle, -1)
-    on = np.flatnonzero(edge >= 0)
-    crosses = angles_deg(lines_mm[on], edges_mm[edge[on]]) >= _CROSSES_DEG
-    edge[on[crosses]] = -1
+    median_index = np.sort(edge_index, axis=1)[:, _SAMPLES // 2]
+    has_majority = (edge_index == median_index[:, None]).sum(axis=1) * 2 > _SAMPLES
+    edge = np.where(has_majority, median_index, -1)
+    matched = np.flatnonzero(edge >= 0)
+    crosses = angles_deg(lines_mm[matched], edges_mm[edge[matched]]) >= _CROSSES_DEG
+    edge[matched[crosses]] = -1
     return edge
 
 
 def angles_deg(
     lines_mm: Float[np.ndarray, "n 2 3"], edges_mm: Float[np.ndarray, "n 2 3"]
 ) -> Float[np.ndarray, "n"]:
-    """Angle between each line and its edge, 0 to 90 degrees, (n,)."""
+    """Angle between each line and its edge, (n,), from 0 to 90 degrees."""
     a, b = lines_mm[:, 1] - lines_mm[:, 0], edges_mm[:, 1] - edges_mm[:, 0]
     sine = np.linalg.norm(np.cross(a, b), axis=1)
     return np.degrees(np.arctan2(sine, np.abs(np.sum(a * b, axis=1))))
 
 
 def offsets_across(lines: UncertainLines, edges_mm: Float[np.ndarray, "n 2 3"]) -> OffsetsAcross:
-    """Offsets of each edge's (infinite) line in the planes normal to a line at its two ends.
+    """Compute the offset from each line to its edge, perpendicular to the line, at both ends.
 
-    The planes belong to the line, not to the edge. So the uncertain position of an end along its
-    line has no effect.
+    The offset at an end is measured in the plane through the end, normal to the line, up to the
+    infinite line of the edge. So an error of the end along its line has no effect.
     """
     ends = lines.ends_mm
     along = ends[:, 1] - ends[:, 0]
@@ -93,10 +93,10 @@ def offsets_across(lines: UncertainLines, edges_mm: Float[np.ndarray, "n 2 3"]) 
     position = np.einsum("nei,ni->ne", ends - start[:, None], along)
     position = position / np.sum(step * along, axis=1, keepdims=True)
     offset = start[:, None] + position[..., None] * step[:, None] - ends
-    both = np.zeros((len(ends), 4, 6))
-    both[:, :2, :3] = both[:, 2:, 3:] = across
+    projection = np.zeros((len(ends), 4, 6))
+    projection[:, :2, :3] = projection[:, 2:, 3:] = across
     return OffsetsAcross(
         np.einsum("nai,nei->nea", across, offset).reshape(-1, 4),
-        both @ lines.fragment_covariance_mm2 @ both.mT,
-        both @ lines.by_parameters,
+        projection @ lines.fragment_covariance_mm2 @ projection.mT,
+        projection @ lines.by_parameters,
     )

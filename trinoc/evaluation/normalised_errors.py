@@ -15,24 +15,25 @@ _LARGEST_95 = float(chi_square_quantile(0.95, NUMBERS_PER_LINE))
 
 
 class NormalisedErrors(NamedTuple):
-    """Statistics of normalised errors; NaN without a covariance.
+    """Statistics of normalised errors (errors divided by sigma) of lines; NaN without a covariance.
 
-    Each line has four errors: its offset across the edge in two directions at two ends, along the
-    principal axes of their covariance. If the covariance is right, they are standard normal.
+    Each line has four errors: the offset from its edge, in two directions at two ends, along the
+    principal axes of the offsets' covariance. If the covariance is right, they are standard normal.
 
     Attributes
     ----------
     lines : int
-        Number of lines.
+        Number of lines with a covariance.
     variance : float
-        Mean square; 1 if the covariance is right. A few wrong matches raise it.
+        Mean square of the errors; 1 if the covariance is right. A few wrong matches raise it.
     spread : float
-        Ratio of true to reported sigma, from the median chi-square; 1 if the covariance is right. A
-        few wrong matches do not change it.
+        Robust ratio of true to reported sigma, from the median chi-square; 1 if the covariance is
+        right.
     share_within : float
         Share of the errors within 1.96 sigma; 0.95 if the covariance is right.
     share_of_lines : float
-        Share of lines with a chi-square below its 95 % quantile.
+        Share of lines whose chi-square is below the 95 % quantile of its distribution; 0.95 if the
+        covariance is right.
     """
 
     lines: int
@@ -45,7 +46,11 @@ class NormalisedErrors(NamedTuple):
 def normalised_errors(
     offsets: OffsetsAcross, parameter_covariance: Float[np.ndarray, "k k"]
 ) -> NormalisedErrors:
-    """Normalised errors of offsets, with the covariance of the fragments and of the cameras."""
+    """Compute statistics of the offsets divided by their sigma.
+
+    `parameter_covariance` is the covariance of the camera parameters. It contributes to the
+    covariance of the offsets, together with the noise of the fragments.
+    """
     errors = errors_in_sigmas(offsets, parameter_covariance)
     has_covariance = np.isfinite(errors).all(axis=1)
     if not has_covariance.any():
@@ -64,7 +69,7 @@ def normalised_errors(
 def errors_in_sigmas(
     offsets: OffsetsAcross, parameter_covariance: Float[np.ndarray, "k k"]
 ) -> Float[np.ndarray, "n 4"]:
-    """Errors of each line in sigmas along the principal axes of its covariance, (n, 4).
+    """Errors of each line in sigmas, along the principal axes of its offsets' covariance, (n, 4).
 
     NaN for lines without a covariance.
     """

@@ -12,16 +12,18 @@ SAMPLE_STEP_MM = 0.5
 
 
 class LengthScore(NamedTuple):
-    """Precision and recall by length.
+    """Precision and recall of 3-D lines, both as shares of length.
 
     Attributes
     ----------
     precision : float
-        Share of the lines' length that is right.
+        Share of the lines' length that lies on a true edge.
     recall : float
-        Share of the true length that was detected.
-    length_put_out_mm, length_true_mm : float
-        Total length of the lines, and of the truth.
+        Share of the visible true length that lies on a line.
+    length_put_out_mm : float
+        Total length of the lines.
+    length_true_mm : float
+        Total length of the visible parts of the true edges.
     """
 
     precision: float
@@ -39,29 +41,27 @@ def score_lengths(
     grey_step: float = 0.0,
     kinds: tuple[str, ...] | None = None,
 ) -> LengthScore:
-    """Precision and recall by length, within a distance.
+    """Compute precision and recall of 3-D lines by length.
 
     Parameters
     ----------
     lines_mm : (t, 2, 3)
-        Lines to score.
+        Ends of the lines.
     truth : SceneTruth or SegmentTruth
-        Edges, with the parts that each view shows.
+        True edges, with the parts that each view shows.
     tolerance_mm : float
-        Largest distance of right points.
+        Largest distance at which a point of a line lies on an edge, and the reverse.
     views : int
-        Smallest number of views that show a part which counts for recall.
+        Number of views that must show a part of an edge, so that it counts for recall.
     grey_step : float
-        Smallest difference of grey levels across such a part, if images are known.
+        Smallest difference of grey levels across such a part. Ignored for a SegmentTruth.
     kinds : tuple of str, optional
-        Kinds of edges that count for recall. Default: all.
+        Kinds of edges that count for recall. Default: all. Ignored for a SegmentTruth.
 
     Returns
     -------
     LengthScore
-        Precision is the share of the lines' length within `tolerance_mm` of a true edge. Recall is
-        the share of the visible true length within `tolerance_mm` of a line. Both are 0 without
-        lengths. Samples are at most 0.5 mm apart.
+        Both shares are 0 if there is no length. Samples are at most 0.5 mm apart.
     """
     if isinstance(truth, SegmentTruth):
         shown = shown_parts_of_segments_mm(truth, views=views)

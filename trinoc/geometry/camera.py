@@ -1,4 +1,4 @@
-"""One camera: intrinsics and a pose; projection of points, and the sheet point of a pixel."""
+"""One camera: intrinsics and a pose. Projection of points, and the sheet point of a pixel."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -30,10 +30,10 @@ POSE_NAMES = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm")
 
 
 class Camera(Value):
-    """A calibrated camera. Pan, tilt, swing, distance and aim are derived from the pose.
+    """A calibrated camera: a lens with image size, and a pose.
 
-    Constructors and properties return NumPy values in float64, or traced values under `jit`, `grad`
-    and `vmap`.
+    Pan, tilt, swing, distance and aim are computed from the pose. Values are NumPy, float64. Inside
+    JAX's `jit`, `grad` and `vmap` they are traced values, which have no numbers yet.
 
     Attributes
     ----------
@@ -67,18 +67,23 @@ class Camera(Value):
         distance_mm: ScalarLike,
         aim_mm: Sequence[ScalarLike] | Float[ArrayLike, "2"] = (0.0, 0.0),
     ) -> "Camera":
-        """Create a camera from the method's pose parameters.
+        """Create a camera from pan, tilt, swing, distance and aim.
 
         Parameters
         ----------
         intrinsics : Intrinsics
             Lens and image size.
-        pan_deg, tilt_deg, swing_deg : float
-            Angles in degrees, as docs/conventions.md defines them.
+        pan_deg : float
+            Azimuth of the camera seen from the aim, degrees: 0 on the -Y side, 90 on the +X side.
+        tilt_deg : float
+            Elevation of the camera above the sheet Z = 0, seen from the aim, degrees.
+        swing_deg : float
+            Rotation of the camera about its optical axis, degrees, from its x axis toward its y
+            axis.
         distance_mm : float
             Distance from the aim to the centre of projection.
         aim_mm : (2,)
-            Intersection of the optical axis with the sheet Z = 0.
+            Intersection (X, Y) of the optical axis with the sheet.
 
         Returns
         -------
@@ -87,7 +92,7 @@ class Camera(Value):
         Raises
         ------
         InputError
-            If a parameter is not one number, or `aim_mm` is not two.
+            If a parameter is not one number, or `aim_mm` is not two numbers.
         """
         angles = (pan_deg, tilt_deg, swing_deg, distance_mm)
         if not is_traced(angles, aim_mm):
@@ -111,7 +116,8 @@ class Camera(Value):
         Parameters
         ----------
         projection_px : (3, 4)
-            Projection matrix to pixels. It defines unit and origin of the world.
+            Projection matrix, from world coordinates to pixels. Its unit and origin of the world
+            become those of the camera.
         image_size_px : (width, height)
             Size of the images.
 
@@ -153,7 +159,7 @@ class Camera(Value):
 
     @property
     def cam_from_world(self) -> Float[ArrayLike, "3 4"]:
-        """Pose [R | t] (3, 4), world (mm) to camera frame (x right, y down, z forward)."""
+        """Pose [R | t] (3, 4) with x_cam = R X + t, mm. Camera axes: x right, y down, z forward."""
         return self.pose.cam_from_world
 
     @property
@@ -163,37 +169,40 @@ class Camera(Value):
 
     @property
     def matrix_px(self) -> Float[NumpyOrTraced, "3 4"]:
-        """Projection matrix K [R | t] (3, 4), without lens distortion."""
+        """Projection matrix K [R | t] (3, 4) from the world to pixels, without lens distortion."""
         return _projection(self)
 
     @property
     def centre_world_mm(self) -> Float[NumpyOrTraced, "3"]:
-        """Centre of projection in the world frame, (3,)."""
+        """Centre of projection in the world frame, (3,) mm."""
         return _centre_world_mm(self.pose)
 
     @property
     def pan_deg(self) -> FloatOrTraced:
-        """Azimuth of the camera, degrees, from -Y toward +X."""
+        """Azimuth of the camera seen from the aim, degrees: 0 on the -Y side, 90 on the +X side."""
         return as_float(_parameters_deg(self.pose)[0])
 
     @property
     def tilt_deg(self) -> FloatOrTraced:
-        """Elevation of the camera above the plane Z = 0, degrees."""
+        """Elevation of the camera above the sheet Z = 0, seen from the aim, degrees."""
         return as_float(_parameters_deg(self.pose)[1])
 
     @property
     def swing_deg(self) -> FloatOrTraced:
-        """Rotation about the optical axis, degrees, of the image's x toward its y."""
+        """Rotation about the optical axis, degrees, of the camera's x axis toward its y axis."""
         return as_float(_parameters_deg(self.pose)[2])
 
     @property
     def distance_mm(self) -> FloatOrTraced:
-        """Distance from the aim to the centre; NaN if the axis does not meet Z = 0 in front."""
+        """Distance from the aim to the centre of projection, mm; NaN if there is no aim."""
         return as_float(_parameters_deg(self.pose)[3])
 
     @property
     def aim_mm(self) -> tuple[FloatOrTraced, FloatOrTraced]:
-        """Intersection (X, Y) of the optical axis with Z = 0; NaN if it does not exist."""
+        """Intersection (X, Y) of the optical axis with the sheet Z = 0, mm.
+
+        NaN if the axis does not meet the sheet in front of the camera.
+        """
         x, y = _parameters_deg(self.pose)[4:6]
         return as_float(x), as_float(y)
 
@@ -228,9 +237,9 @@ class Camera(Value):
 
 
 def projection_matrix(camera: Camera) -> Float[ArrayLike, "3 4"]:
-    """Projection matrix K [R | t] (3, 4), in the precision of the camera, for inner functions.
+    """Projection matrix K [R | t] (3, 4), in the camera's own precision, float32 or float64.
 
-    `Camera.matrix_px` is the same in NumPy float64.
+    For use under `jit`. `Camera.matrix_px` is the same matrix in float64.
     """
     return camera.intrinsics.lens.matrix @ camera.cam_from_world
 
@@ -241,7 +250,7 @@ def project(camera: Camera, point_world_mm: Float[ArrayLike, "3"]) -> Float[Arra
     Parameters
     ----------
     camera : Camera
-        Camera; may be traced.
+        Camera; may be a traced value of `jit` or `grad`.
     point_world_mm : (3,)
         Point in the world frame.
 
@@ -249,19 +258,19 @@ def project(camera: Camera, point_world_mm: Float[ArrayLike, "3"]) -> Float[Arra
     -------
     (2,)
         Pixel (u, v). NaN beyond the fold of the lens (`Intrinsics.valid_radius_px`), unless the
-        camera is traced. Meaningless if `depth_mm` is not positive.
+        camera is traced. Meaningless for a point behind the camera (`depth_mm` not positive).
     """
     uv_px = project_point(camera.pose, camera.intrinsics.lens, point_world_mm)
     return mask_folded(camera.pose, camera.intrinsics.lens, point_world_mm, uv_px)
 
 
 def depth_mm(camera: Camera, point_world_mm: Float[ArrayLike, "3"]) -> Float[ArrayLike, ""]:
-    """Depth z of a world point in the camera frame, mm: positive in front of the camera."""
+    """Depth of a world point: z in the camera frame, mm, positive in front of the camera."""
     return camera.cam_from_world[2, :3] @ point_world_mm + camera.cam_from_world[2, 3]
 
 
 def viewing_direction(camera: Camera, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
-    """Unit vector in the world frame along the ray of a pixel, (3,)."""
+    """Unit vector (3,), in the world frame, along the viewing ray of a pixel."""
     return camera.pose.rotation.T @ camera.intrinsics.lens.unproject(uv_px)
 
 
@@ -271,14 +280,14 @@ def sheet_from_pixel(camera: Camera, uv_px: Float[ArrayLike, "2"]) -> Float[Arra
     Parameters
     ----------
     camera : Camera
-        Camera; may be traced.
+        Camera; may be a traced value of `jit` or `grad`.
     uv_px : (2,)
         Pixel (u, v), lens distortion included.
 
     Returns
     -------
     (2,)
-        (X, Y) in mm; NaN beyond the fold of the lens, as in `project`.
+        (X, Y) in mm. NaN beyond the fold of the lens, unless the camera is traced.
     """
     centre, direction = camera.pose.centre_world_mm, viewing_direction(camera, uv_px)
     point_mm = (centre - centre[2] / direction[2] * direction)[:2]
@@ -298,7 +307,10 @@ def _parameters_deg(pose: Pose) -> Float[ArrayLike, "6"]:
 
 
 def _rq_decomposition(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Factors of a 3x3 matrix: upper triangular with positive diagonal, and orthogonal."""
+    """RQ decomposition of a (3, 3) matrix: (upper triangular K, orthogonal R).
+
+    The diagonal of K is positive.
+    """
     upper, rotation = scipy.linalg.rq(matrix)
     signs = np.diag(np.sign(np.diag(upper)))
     return upper @ signs, signs @ rotation

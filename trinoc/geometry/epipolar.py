@@ -12,7 +12,10 @@ from trinoc.numerics.small_matrices import inverse_3x3
 
 
 def centre_of_matrix(matrix_px: Float[ArrayLike, "3 4"]) -> Float[ArrayLike, "3"]:
-    """Centre of projection C (3,) of a projection matrix: P (C, 1) = 0, by Cramer's rule."""
+    """Centre of projection C (3,) of a (3, 4) projection matrix P, in the world frame.
+
+    P (C, 1) = 0 is solved by Cramer's rule.
+    """
     a, b, c, d = (matrix_px[:, i] for i in range(4))
     volume = a @ jnp.cross(b, c)
     return -jnp.stack([d @ jnp.cross(b, c), a @ jnp.cross(d, c), a @ jnp.cross(b, d)]) / volume
@@ -21,7 +24,7 @@ def centre_of_matrix(matrix_px: Float[ArrayLike, "3 4"]) -> Float[ArrayLike, "3"
 def epipole(
     matrix_b_px: Float[ArrayLike, "3 4"], matrix_a_px: Float[ArrayLike, "3 4"]
 ) -> Float[ArrayLike, "3"]:
-    """Homogeneous image (3,), in view b, of the centre of view a."""
+    """Epipole in view b: the homogeneous image (3,) of the centre of camera a."""
     return matrix_b_px @ jnp.append(centre_of_matrix(matrix_a_px), 1.0)
 
 
@@ -38,7 +41,8 @@ def fundamental_matrix(
     Returns
     -------
     (3, 3)
-        [e_b]x M_b M_a^-1 in undistorted pixels, not normalised.
+        [e_b]x M_b M_a^-1 in undistorted pixels, of no fixed scale. e_b is the epipole in view b; M
+        is the left 3x3 part of a projection matrix.
     """
     transfer = matrix_b_px[:, :3] @ inverse_3x3(matrix_a_px[:, :3])
     return skew(epipole(matrix_b_px, matrix_a_px)) @ transfer
@@ -47,7 +51,7 @@ def fundamental_matrix(
 def epipolar_line(
     fundamental_ba: Float[ArrayLike, "3 3"], uv_a_px: Float[ArrayLike, "2"]
 ) -> Float[ArrayLike, "3"]:
-    """Return the epipolar line, in view b, of a point of view a.
+    """Return the epipolar line in view b that belongs to a point of view a.
 
     Parameters
     ----------
@@ -59,7 +63,7 @@ def epipolar_line(
     Returns
     -------
     (3,)
-        Line (a, b, c) with unit normal. The image of the same scene point in view b lies on it.
+        Line (a, b, c) with a unit normal: a u + b v + c = 0, in undistorted pixels of view b.
     """
     line = fundamental_ba @ jnp.append(uv_a_px, 1.0)
     return line / jnp.hypot(line[0], line[1])
@@ -70,7 +74,7 @@ def epipolar_distance_px(
     uv_b_px: Float[ArrayLike, "2"],
     uv_a_px: Float[ArrayLike, "2"],
 ) -> Float[ArrayLike, ""]:
-    """Return the signed distance, in view b, of a point from the epipolar line of its partner.
+    """Return the signed distance of a point of view b from the epipolar line of a point of view a.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Features in space: tables of corners, rims and the like, and their drawings as lines."""
+"""Features in space: base class of tables of corners, rims and others, and line drawings."""
 
 import abc
 from collections.abc import Sequence
@@ -12,18 +12,18 @@ from trinoc.numerics.tables import Table
 
 
 class Wires(NamedTuple):
-    """Line drawing of features: points, straight lines between pairs of points, and faces.
+    """Line drawing of 3-D features such as corners or rims: points, straight lines and faces.
 
     Attributes
     ----------
     points_mm : (n, 3)
         Points in the world frame.
     pairs : (e, 2)
-        Indices of the two ends of each line.
+        Straight lines: indices into `points_mm` of the two ends of each line.
     owner : (e,)
         Index of the feature that each line belongs to.
     loops : sequence of (k,)
-        For each face, the indices of the points around it.
+        Faces: for each face, the indices into `points_mm` of its corners, in order.
     """
 
     points_mm: Float[np.ndarray, "n 3"]
@@ -32,7 +32,10 @@ class Wires(NamedTuple):
     loops: Sequence[Int[np.ndarray, "_"]] = ()
 
     def lines(self) -> list[tuple[int, Float[np.ndarray, "_ 3"]]]:
-        """(owner, points) of each polyline: consecutive pairs that share an end are joined."""
+        """Join the straight lines to polylines: a list of (feature index, points (k, 3) in mm).
+
+        Consecutive lines of one feature that share an end form one polyline.
+        """
         ends = (self.pairs[1:, 0] != self.pairs[:-1, 1]) | (self.owner[1:] != self.owner[:-1])
         runs = np.split(np.arange(len(self.pairs)), np.flatnonzero(ends) + 1)
         return [
@@ -43,45 +46,49 @@ class Wires(NamedTuple):
 
 
 class Feature(Displayable, Table):
-    """Base class of all tables of features.
+    """Base class of the tables of 3-D features: corners, rims, joined lines and others.
 
-    A step of matching computes the table; it has a file format and a drawing. `READ_FIRST` names
-    the scalar columns that a short table shows.
+    One object is a table with one feature in each row. A subclass adds the columns. `READ_FIRST`
+    names the scalar columns that a short printed table shows.
     """
 
     READ_FIRST: ClassVar[tuple[str, ...]] = ()
 
     def summary(self) -> str:
-        """One sentence with the number of features."""
+        """Return one sentence with the number of features."""
         return f"{len(self)} {self.IN_WORDS}."
 
     def record(self) -> dict[str, Any]:
-        """Numbers that describe the whole table, ready for JSON."""
+        """Values that describe the whole table, for the JSON output; empty in this base class."""
         return {}
 
     def segments_of(self, row: int | np.integer) -> dict[str, Int[np.ndarray, "_"]]:
-        """Indices of the segments that show one feature, per view; empty if unknown.
+        """Indices of the image segments that show feature `row`, keyed by view name.
 
-        The table has this information if it has `views` and the columns `view`, `segment` and the
-        number of the feature, with one row per segment. The last column has the singular name of
-        the kind, for example `rim`.
+        Empty if the table does not store them. A table stores them in three columns with one row
+        for each segment: `view`, `segment`, and the feature index. The last column is named after
+        the kind of feature in the singular, for example `rim`.
         """
         table: Any = self
-        numbers = getattr(table, self.KIND.removesuffix("s"), None)
-        if numbers is None:
+        feature_ids = getattr(table, self.KIND.removesuffix("s"), None)
+        if feature_ids is None:
             return {}
         return {
-            name: table.segment[(numbers == row) & (table.view == k)]
+            name: table.segment[(feature_ids == row) & (table.view == k)]
             for k, name in enumerate(table.views)
         }
 
     @abc.abstractmethod
     def wires(self) -> Wires:
-        """Line drawing of all features in the world frame: points, straight lines and faces."""
+        """Return the line drawing of all features: points, lines and faces in the world frame."""
 
 
 def wires_of_lines(lines: Sequence[Sequence[Float[np.ndarray, "_ 3"]]]) -> Wires:
-    """Line drawing of features that consist of several polylines each."""
+    """Line drawing of features that consist of polylines.
+
+    `lines` has one list for each feature. The list contains the polylines of the feature, (k, 3)
+    mm.
+    """
     owners = [row for row, polylines in enumerate(lines) for _ in polylines]
     all_lines = [line for polylines in lines for line in polylines]
     points = np.concatenate([np.zeros((0, 3)), *all_lines])

@@ -1,4 +1,4 @@
-"""Distortion-free cameras in place of real ones: lenses, poses and covariance.
+"""Replacement of real cameras by distortion-free ones: lenses, poses and covariance.
 
 Stereo rectification (`rectification.py`) and undistorted images (`image/ideal_pictures.py`) use
 these cameras.
@@ -28,22 +28,24 @@ from trinoc.numerics.programs import kept_jit
 def undistort_lens(
     lens: Intrinsics, *, alpha: float = 0.0, image_size_px: tuple[int, int] | None = None
 ) -> Intrinsics:
-    """Return a lens without distortion whose pixels have the shape of those of `lens`.
+    """Return the lens of an undistorted version of the images: a pinhole lens.
 
     Parameters
     ----------
     lens : Intrinsics
-        A lens with or without distortion.
+        The real lens, with or without distortion.
     alpha : float
-        Part of the field that the new image shows. 0: the largest window in which all pixels are
-        valid. 1: the whole field, up to WIDEST_DEG from the axis. Values between interpolate.
+        Part of the field of view that the new image shows. 0: the largest window in which all
+        pixels are valid. 1: the whole field, up to 75 degrees from the axis. Values between
+        interpolate.
     image_size_px : (width, height), optional
         Size of the new images. Default: the size of the images of `lens`.
 
     Returns
     -------
     Intrinsics
-        A pinhole lens. A lens without distortion is returned unchanged, unless the size changes.
+        A pinhole lens with the skew and the ratio of focal lengths of `lens`. A lens without
+        distortion is returned unchanged, unless the size changes.
 
     Raises
     ------
@@ -66,7 +68,7 @@ def undistort_lens(
 
 
 def expect_alpha(alpha: float) -> None:
-    """Raise InputError if `alpha` is not between 0 and 1."""
+    """Raise `InputError` if `alpha` is not between 0 and 1."""
     if not 0 <= real_number(alpha, "alpha") <= 1:
         raise InputError(
             f"alpha is {alpha:g}, but must be between 0 and 1. Give 0 for valid pixels only, 1 for "
@@ -80,9 +82,18 @@ def ideal_lens(
     origin_px: Float[np.ndarray, "2"],
     size_px: tuple[int, int],
 ) -> Intrinsics:
-    """Pinhole lens with K = [scale_px * shape | origin_px], where `shape[0, 0]` is 1.
+    """Pinhole lens whose calibration matrix has the upper rows [scale_px * shape | origin_px].
 
-    `origin_px` is the principal point.
+    Parameters
+    ----------
+    shape : (2, 2)
+        Left upper part of the calibration matrix divided by its first entry.
+    scale_px : float
+        Focal length along u.
+    origin_px : (2,)
+        Principal point.
+    size_px : (width, height)
+        Size of the images.
     """
     matrix = np.eye(3)
     matrix[:2] = np.column_stack([scale_px * shape, origin_px])
@@ -93,7 +104,7 @@ def ideal_lens(
 def undistort_rig(
     rig: Rig, *, alpha: float = 0.0, image_size_px: tuple[int, int] | None = None
 ) -> Rig:
-    """Return the rig with distortion-free lenses; poses stay the same.
+    """Return the rig with distortion-free lenses; the poses stay the same.
 
     Parameters
     ----------
@@ -105,8 +116,9 @@ def undistort_rig(
     Returns
     -------
     Rig
-        Cameras with pinhole lenses. The covariance is that of `rig`. It is empty if it contains
-        errors of a lens that changes, which a pinhole lens cannot represent.
+        Cameras with pinhole lenses, and the covariance of `rig`. The covariance is empty if it
+        contains lens parameters of a camera whose lens changes: a pinhole lens cannot represent
+        their errors.
 
     Raises
     ------
@@ -123,7 +135,7 @@ def undistort_rig(
 
 @contextlib.contextmanager
 def camera_name_in_errors(name: str) -> Iterator[None]:
-    """Prefix an InputError of the block with the name of the camera."""
+    """Context manager that prefixes the message of an `InputError` with the camera's name."""
     try:
         yield
     except InputError as error:
@@ -131,44 +143,46 @@ def camera_name_in_errors(name: str) -> Iterator[None]:
 
 
 def with_covariance(cameras: Mapping[str, Camera], rig: Rig) -> Rig:
-    """Build a rig of ideal cameras and propagate the covariance of the original rig to first order.
+    """Build the rig of new cameras, with the covariance of `rig` propagated to first order.
 
-    The result has no covariance in two cases. First, the covariance contains lens errors and the
-    lens changes: these errors bend rays as no pinhole can. Second, a turned axis does not meet the
-    sheet: distance and aim do not exist.
+    Each new camera has the centre of the camera of `rig` with the same name, and may have another
+    rotation and lens. The new rig has no covariance in two cases. First, `rig` has errors of a lens
+    that the new camera does not have. Second, a new optical axis does not meet the sheet, so that
+    distance and aim are undefined.
     """
-    before: list[str] = []
-    after: list[str] = []
+    old_names: list[str] = []
+    new_names: list[str] = []
     blocks: list[np.ndarray] = []
     for name, camera in cameras.items():
         camera_parameters = [p for p in rig.parameters if p.rpartition(".")[0] == name]
         poses = [p for p in camera_parameters if p.rpartition(".")[2] in PARAMETER_NAMES]
-        is_kept = bool(eqx.tree_equal(camera.intrinsics, rig[name].intrinsics))
-        if len(poses) < len(camera_parameters) and not is_kept:
+        has_same_lens = bool(eqx.tree_equal(camera.intrinsics, rig[name].intrinsics))
+        if len(poses) < len(camera_parameters) and not has_same_lens:
             return Rig(cameras)
         rotation, old = (np.asarray(each.pose.rotation) for each in (camera, rig[name]))
         if not poses or np.array_equal(rotation, old):
-            before, after = before + camera_parameters, after + camera_parameters
+            old_names, new_names = old_names + camera_parameters, new_names + camera_parameters
             blocks.append(np.eye(len(camera_parameters)))
             continue
         names = [f"{name}.{parameter}" for parameter in PARAMETER_NAMES]
-        before, after = before + names, after + names
-        blocks.append(np.asarray(_change_of_turned(rig[name].pose.parameters, rotation @ old.T)))
+        old_names, new_names = old_names + names, new_names + names
+        blocks.append(np.asarray(_rotation_jacobian(rig[name].pose.parameters, rotation @ old.T)))
     jacobian = np.asarray(scipy.linalg.block_diag(*blocks))
     if not np.isfinite(jacobian).all():
         return Rig(cameras)
-    covariance = jacobian @ rig.covariance_of(before) @ jacobian.T
-    return Rig(cameras, parameters=after, covariance=(covariance + covariance.T) / 2)
+    covariance = jacobian @ rig.covariance_of(old_names) @ jacobian.T
+    return Rig(cameras, parameters=new_names, covariance=(covariance + covariance.T) / 2)
 
 
 @kept_jit
-def _change_of_turned(
+def _rotation_jacobian(
     parameters: Float[ArrayLike, "6"], turn: Float[ArrayLike, "3 3"]
 ) -> Float[ArrayLike, "6 6"]:
-    """Jacobian of the pose parameters of a turned camera by those before the turn, (6, 6).
+    """Derivative (6, 6) of a rotated camera's pose parameters by those of the original camera.
 
-    Both sets are pan, tilt, swing, distance and aim. The Jacobian is in degrees and mm; the input
-    `parameters` are in rad and mm.
+    Pose parameters are pan, tilt, swing, distance, aim X and aim Y. `parameters` are those of the
+    original camera, in rad and mm. `turn` is the rotation in the camera frame, R_new R_old^T. The
+    derivative is in degrees and mm.
     """
     unit = jnp.array([jnp.pi / 180] * 3 + [1.0] * 3)
 

@@ -26,7 +26,10 @@ _CENTRE_AND_EDGE = np.r_[
 def image_of_circle_centre(
     camera: Camera, centre_sheet_mm: Float[ArrayLike, "2"], radius_mm: ScalarLike
 ) -> Float[ArrayLike, "2"]:
-    """Centre of the ellipse that images a circle on the sheet Z = 0, (2,) px."""
+    """Centre (2,), px, of the ellipse that images a circle on the sheet Z = 0.
+
+    This is not the image of the circle's centre.
+    """
 
     def image(point_mm: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
         return project(camera, jnp.append(point_mm, 0.0))
@@ -39,22 +42,21 @@ def circle_centre_offset(
     centre: Float[ArrayLike, "2"],
     radius: ScalarLike,
 ) -> Float[ArrayLike, "2"]:
-    """Centroid of the image of a disc minus the image of its centre; 0 for a radius of 0.
+    """Return the centroid of a disc's image minus the image of the disc's centre.
 
     Parameters
     ----------
     mapping : callable
-        Maps a point (2,) of the circle's plane to the image. The result has the unit of its output.
+        Maps a point (2,) of the circle's plane to a point (2,) of the image, usually px.
     centre : (2,)
         Centre of the circle in its plane.
     radius : scalar
-        Radius in the unit of `centre`.
+        Radius in the unit of `centre`. The offset is 0 for a radius of 0.
 
     Returns
     -------
     (2,)
-        Offset in the unit of the image, usually px. Perspective causes 0.09 px for the reference
-        rig.
+        Offset in the unit of the image.
 
     Notes
     -----
@@ -69,10 +71,11 @@ def circle_centre_offset(
 
 
 def centroid_of_region(edge: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "2"]:
-    """Centroid of the region inside a smooth closed curve, from points at equidistant parameters.
+    """Centroid (2,) of the region inside a smooth closed curve.
 
-    Green's theorem gives area and first moment from the points and their tangents. The mean of the
-    points is not the centroid, because a mapping also moves points along the edge.
+    `edge` contains points of the curve at equidistant values of its parameter, once around. Green's
+    theorem gives area and first moment from the points and their tangents. The mean of the points
+    would be wrong, because the points are not equally dense along the curve.
     """
     mean = jnp.mean(edge, axis=0, keepdims=True)
     offset = edge - mean
@@ -83,9 +86,9 @@ def centroid_of_region(edge: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "2"]:
 
 
 def _trigonometric_derivative(count: int) -> Float[np.ndarray, "n n"]:
-    """Matrix (n, n) that differentiates a trigonometric polynomial.
+    """Matrix (n, n) from values of a trigonometric polynomial to its derivatives.
 
-    The polynomial is given by its values at n equidistant angles.
+    Values and derivatives are at the same n = `count` equidistant angles.
     """
     step = np.arange(count)[:, None] - np.arange(count)[None]
     cotangent = 1.0 / np.tan(np.pi * np.where(step == 0, 0.5, step) / count)

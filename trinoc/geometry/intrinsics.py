@@ -43,10 +43,10 @@ _SHARE_POINTS = 257
 
 
 class Intrinsics(Value):
-    """A lens in front of a sensor: pinhole with optional skew and distortion.
+    """A lens in front of a sensor: pinhole with optional skew and distortion, and image size.
 
-    Pixel (u, v) = (column, row), with (0, 0) the centre of the top-left pixel. The constructor and
-    the properties keep numbers that `jit`, `grad` or `vmap` trace. All others are NumPy, float64.
+    Pixel (u, v) = (column, row), with (0, 0) the centre of the top-left pixel. Numbers are stored
+    as NumPy float64. Only numbers that JAX traces (`jit`, `grad`, `vmap`) stay JAX values.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Intrinsics(Value):
         distortion: Sequence[ScalarLike] | ArrayLike | None = None,
         distortion_model: str | None = None,
     ) -> None:
-        """Intrinsics from a data sheet (mm) or from an earlier calibration (px).
+        """Create intrinsics from a data sheet (mm) or from an earlier calibration (px).
 
         Parameters
         ----------
@@ -85,14 +85,14 @@ class Intrinsics(Value):
         pixel_pitch_mm : float or (2,), optional
             Size of a pixel along u and v, mm.
         focal_length_px : float or (2,), optional
-            Focal length in place of `focal_length_mm`: one number, or one along u and one along v.
+            Replaces `focal_length_mm`: one number, or one along u and one along v.
         principal_point_px : (2,), optional
             Default: the image centre, ((W-1)/2, (H-1)/2).
         skew_px : float
-            Entry K[0, 1].
+            Entry K[0, 1] of the calibration matrix.
         distortion : sequence, optional
-            Coefficients of `distortion_model`; missing ones are 0. Give p1 and p2 together. None:
-            no distortion.
+            Coefficients of `distortion_model`; missing last ones are 0. p1 and p2 must be given
+            together. None: no distortion.
         distortion_model : str, optional
             A name in `lenses.registry.LENS_MODELS`. Default: Brown-Conrady with up to five
             coefficients k1, k2, p1, p2, k3.
@@ -100,7 +100,7 @@ class Intrinsics(Value):
         Raises
         ------
         InputError
-            If the numbers cannot describe a camera. Traced numbers are not checked.
+            If the numbers cannot describe a camera. Numbers that JAX traces are not checked.
         """
         pitch = None if pixel_pitch_mm is None else _positive_pair("pixel_pitch_mm", pixel_pitch_mm)
         if focal_length_px is not None and focal_length_mm is None:
@@ -113,11 +113,11 @@ class Intrinsics(Value):
                 "or focal_length_px alone."
             )
         width, height = whole_size_px(image_size_px)
-        middle = ((width - 1) / 2, (height - 1) / 2)
+        centre_px = ((width - 1) / 2, (height - 1) / 2)
         model, coefficients = _distortion(distortion, distortion_model)
         self.lens = model(
             focal,
-            _array(middle if principal_point_px is None else principal_point_px),
+            _array(centre_px if principal_point_px is None else principal_point_px),
             _array(skew_px),
             coefficients,
         )
@@ -139,7 +139,7 @@ class Intrinsics(Value):
         image_size_px: Sequence[int],
         pixel_pitch_mm: Sequence[float] | None = None,
     ) -> "Intrinsics":
-        """Intrinsics with the given lens object."""
+        """Create intrinsics from a lens model object, an image size and an optional pixel pitch."""
         return cls(
             image_size_px=image_size_px,
             focal_length_px=lens.focal_length_px,
@@ -154,7 +154,7 @@ class Intrinsics(Value):
     def from_matrix(
         cls, calibration_matrix: Float[ArrayLike, "3 3"], image_size_px: Sequence[int]
     ) -> "Intrinsics":
-        """Return intrinsics without distortion from an upper-triangular K (3, 3) of any scale."""
+        """Create intrinsics without distortion from an upper-triangular K (3, 3) of any scale."""
         matrix = _array(calibration_matrix)
         matrix = matrix / matrix[2, 2]
         return cls(
@@ -166,12 +166,12 @@ class Intrinsics(Value):
 
     @property
     def focal_length_px(self) -> Float[ArrayLike, "2"]:
-        """Focal length over pixel pitch, along u and v, (2,) px."""
+        """Focal length divided by the pixel pitch, along u and along v, (2,) px."""
         return self.lens.focal_length_px
 
     @property
     def principal_point_px(self) -> Float[ArrayLike, "2"]:
-        """Pixel at which the optical axis meets the sensor, (2,)."""
+        """Principal point (2,): the pixel of the optical axis."""
         return self.lens.principal_point_px
 
     @property
@@ -200,8 +200,8 @@ class Intrinsics(Value):
     def valid_radius_px(self) -> float:
         """Distance from the principal point, px, up to which rays and pixels are one to one.
 
-        Infinite if the distortion never folds. Projections and rays beyond this radius are NaN,
-        unless the lens is traced.
+        Beyond this radius, projections and rays are NaN, unless JAX traces the lens. Infinite if
+        the distortion never folds, that is, never maps two rays to one pixel.
         """
         return self.lens.valid_radius_px()
 
@@ -215,7 +215,10 @@ class Intrinsics(Value):
     @property
     @in_float64
     def matrix(self) -> Float[ArrayLike, "3 3"]:
-        """Calibration matrix K (3, 3): normalised coordinates to pixels, without distortion."""
+        """Calibration matrix K (3, 3): normalised coordinates (x/z, y/z, 1) to ideal pixels.
+
+        Ideal pixels are those of the lens without distortion.
+        """
         return self.lens.matrix
 
     def pixel_from_normalised(self, normalised: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
@@ -224,23 +227,26 @@ class Intrinsics(Value):
         return self.lens.mask_ray(ray_of_normalised(normalised), uv_px)
 
     def normalised_from_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Inverse of `pixel_from_normalised`: (x/z, y/z) of the ray of a pixel."""
+        """Normalised coordinates (x/z, y/z) of the ray of a pixel; NaN beyond the fold.
+
+        This is the inverse of `pixel_from_normalised`.
+        """
         return self.lens.mask_pixel(uv_px, self.lens.normalised_from_pixel(uv_px))
 
     def undistort_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Pixel that would image the same ray if the lens had no distortion, (2,)."""
+        """Pixel (2,) that would image the same ray without distortion; NaN beyond the fold."""
         return self.lens.mask_pixel(uv_px, jnp.asarray(self.lens.undistort_pixel(uv_px)))
 
     def distort_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Inverse of `undistort_pixel`."""
+        """Pixel (2,) of the real image for an undistorted pixel; inverse of `undistort_pixel`."""
         distorted_px = jnp.asarray(self.lens.distort_pixel(uv_px))
         return self.lens.mask_ray(ray_of_normalised(self.lens.affine_inverse(uv_px)), distorted_px)
 
 
 def whole_size_px(size: object) -> tuple[int, int]:
-    """Check an image size (width, height): two whole positive numbers.
+    """Return an image size (width, height) as two integers.
 
-    Raises InputError otherwise.
+    Raise `InputError` if `size` is not two positive whole numbers.
     """
     try:
         sides = np.array(size if np.ndim(size) == 1 else ())  # pyright: ignore
@@ -257,7 +263,11 @@ def whole_size_px(size: object) -> tuple[int, int]:
 def _distortion(
     values: Sequence[ScalarLike] | ArrayLike | None, model_name: str | None
 ) -> tuple[type[AbstractLens], Float[ArrayLike, "c"]]:
-    """(lens model, coefficients); missing coefficients are 0."""
+    """Return the lens class and all of its coefficients (c,), with 0 for the missing last ones.
+
+    `values` are the coefficients that the user gave; `model_name` may be None. Raise `InputError`
+    for too many coefficients or for p1 without p2.
+    """
     if model_name is not None:
         model = lens_model(model_name)
     else:
@@ -279,9 +289,9 @@ def _distortion(
 
 
 def _array(value: object, name: str = "A lens") -> Float[ArrayLike, "*n"]:
-    """Convert to a JAX array if traced, else to a NumPy array of float64.
+    """Convert a value to a NumPy array of float64, or to a JAX array if JAX traces the value.
 
-    Raises InputError, with `name`, if the value is not numeric or not finite.
+    Raise `InputError` if a number is missing or not finite. `name` names the value in the message.
     """
     if is_traced(value):
         return jnp.asarray(value)
@@ -304,32 +314,32 @@ def _positive_pair(
 
 
 def describe_fold(lens: Intrinsics) -> str | None:
-    """Describe the fold of a distortion inside the image; None if there is none.
+    """Return the end of the sentence "The distortion ..." if it folds the image, else None.
 
-    The text is the end of a sentence without a full stop. None also if the distortion folds beyond
-    all corners. Beyond the fold, two rays have one pixel, and pixels farther out have no ray. A
-    fold beyond 90 degrees is not reported: the image of such a fisheye is a circle with black
-    corners. `FOLD_REMEDY` is the advice for a lens that the user gave.
+    The text has no full stop, and states the radius of the fold in px. Beyond the fold, two rays
+    have one pixel, and pixels farther out have no ray. None also in two harmless cases. First, the
+    fold is outside the image. Second, the fold is beyond 90 degrees: then the image of a fisheye is
+    a circle with black corners. `FOLD_REMEDY` is the advice for a lens that the user gave.
     """
     if isinstance(lens.lens, AbstractSplinedLens) and not lens.lens.steepness() < 1.0:
         return (
             "folds the image: neighbouring control points of its correction differ by "
             f"{lens.lens.steepness():.2g} times their distance"
         )
-    away_px, radius_px = farthest_corner_px(lens), lens.valid_radius_px
-    if lens.lens.fold_angle_rad() >= np.pi / 2 or not radius_px < away_px:
+    corner_px, radius_px = farthest_corner_px(lens), lens.valid_radius_px
+    if lens.lens.fold_angle_rad() >= np.pi / 2 or not radius_px < corner_px:
         return None
     return (
         f"folds the image {radius_px:.0f} px from the principal point, while the farthest corner "
-        f"is {away_px:.0f} px away"
+        f"is {corner_px:.0f} px away"
     )
 
 
 def describe_unusable_fold(lens: Intrinsics) -> str | None:
-    """Same text as `describe_fold`, but None if most of the image remains usable.
+    """Return the text of `describe_fold` if the fold makes the lens unusable, else None.
 
-    A fold is usable if its radius is at least half the shorter side and at most a third of the
-    image lies beyond it.
+    The lens is unusable in two cases. The radius of the fold is less than half the shorter image
+    side, or more than a third of the image lies beyond the fold.
     """
     fold = describe_fold(lens)
     is_near = lens.valid_radius_px < min(lens.image_size_px) / 2
@@ -337,9 +347,9 @@ def describe_unusable_fold(lens: Intrinsics) -> str | None:
 
 
 def describe_usable_fold(lens: Intrinsics) -> str | None:
-    """Describe the part of the image that a usable fold excludes, without a full stop.
+    """Return the text of `describe_fold` with the unused share of the image, if the lens is usable.
 
-    None if the lens does not fold, or if the fold is unusable.
+    None if the lens does not fold, or if the fold makes the lens unusable.
     """
     fold = describe_fold(lens)
     if fold is None or describe_unusable_fold(lens) is not None:
@@ -349,14 +359,14 @@ def describe_usable_fold(lens: Intrinsics) -> str | None:
 
 
 def share_beyond_fold(lens: Intrinsics) -> float:
-    """Share of the image area beyond `Intrinsics.valid_radius_px`."""
+    """Share of the image area, 0 to 1, beyond `Intrinsics.valid_radius_px`."""
     u, v = (np.linspace(0.0, side - 1.0, _SHARE_POINTS) for side in lens.image_size_px)
     cu, cv = np.asarray(lens.principal_point_px)
     return float(np.mean(np.hypot(u - cu, (v - cv)[:, None]) > lens.valid_radius_px))
 
 
 def farthest_corner_px(lens: Intrinsics) -> float:
-    """Distance from the principal point to the farthest image corner, px."""
+    """Largest distance of an image corner from the principal point, px."""
     corners = np.array([[0.0, 0.0], np.array(lens.image_size_px) - 1.0])
     return float(np.linalg.norm(np.abs(corners - np.asarray(lens.principal_point_px)).max(axis=0)))
 
@@ -370,14 +380,14 @@ def _lost_percent(lens: Intrinsics) -> str:
 def undistort_pixels(
     lens: Intrinsics, uv_px: Float[ArrayLike, "*n 2"]
 ) -> Float[np.ndarray, "*n 2"]:
-    """Map image points to their positions in an image without distortion.
+    """Map points of a real image to their positions in an image without distortion.
 
     Parameters
     ----------
     lens : Intrinsics
-        The lens of the image.
+        The lens of the real image.
     uv_px : (..., 2)
-        Points of the image.
+        Points of the real image.
 
     Returns
     -------
@@ -395,15 +405,15 @@ def distort_pixels(lens: Intrinsics, uv_px: Float[ArrayLike, "*n 2"]) -> Float[n
     Parameters
     ----------
     lens : Intrinsics
-        The lens of the image.
+        The lens of the real image.
     uv_px : (..., 2)
         Undistorted points, px.
 
     Returns
     -------
     (..., 2)
-        Points of the image, px: the inverse of `undistort_pixels`. NaN if the lens folds before it
-        images the ray.
+        Points of the real image, px: the inverse of `undistort_pixels`. NaN for rays beyond the
+        fold of the lens.
     """
     points = np.asarray(uv_px, dtype=np.float64)
     distorted_px = _map_pixels(lens, points, _distort)
@@ -415,7 +425,10 @@ def distort_pixels(lens: Intrinsics, uv_px: Float[ArrayLike, "*n 2"]) -> Float[n
 
 
 def _map_pixels(lens: Intrinsics, uv_px: ArrayLike, mapping: Callable) -> np.ndarray:
-    """Apply `mapping` to pixels padded to a bucket size, so that few array lengths compile."""
+    """Apply a compiled `mapping` of (lens, pixels) to pixels of any shape (..., 2).
+
+    The pixels are padded to one of a few array lengths, because each length is compiled once.
+    """
     points = np.asarray(uv_px, dtype=np.float64)
     if not lens.has_distortion or points.size == 0:
         return points

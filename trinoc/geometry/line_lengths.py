@@ -9,7 +9,7 @@ from trinoc.numerics.precision import ArrayLike
 
 
 class LineSigmas(NamedTuple):
-    """Lengths of 3-D segments and standard deviations, in mm.
+    """Lengths of t 3-D segments, with standard deviations of lengths and positions, mm.
 
     Attributes
     ----------
@@ -32,19 +32,19 @@ class LineSigmas(NamedTuple):
 def line_sigmas(
     lines_mm: Float[ArrayLike, "t 2 3"], covariance_mm2: Float[ArrayLike, "t 6 6"]
 ) -> LineSigmas:
-    """Propagate the covariance of both ends to length and midpoint, to first order.
+    """Compute lengths, and standard deviations of lengths, midpoints and ends, to first order.
 
     Parameters
     ----------
     lines_mm : (t, 2, 3)
         Ends of the segments in the world frame.
     covariance_mm2 : (t, 6, 6)
-        Covariance of the ends; NaN if unknown.
+        Covariance of both ends of each segment; NaN if unknown.
 
     Returns
     -------
     LineSigmas
-        NaN where the covariance is NaN or the length is 0.
+        Standard deviations are NaN where the covariance is NaN or the length is 0.
     """
     ends, covariance = np.asarray(lines_mm), np.asarray(covariance_mm2)
     along = ends[:, 1] - ends[:, 0]

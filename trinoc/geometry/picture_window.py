@@ -1,10 +1,10 @@
 """Window of an undistorted image: its scale, and its position in the ideal image plane.
 
-A window lies inside the field of a camera if it contains no point of the field's border. The
-largest window about a given middle therefore extends to the nearest border point, in the norm whose
-unit ball is the window. `cv2.getOptimalNewCameraMatrix` and `cv2.stereoRectify` use extremes of the
-border instead. For convergent or rolled cameras they show a small part of the field, or invalid
-pixels.
+A window lies inside the field of view of a camera if it contains no point of the field's border.
+The largest window about a given centre therefore extends to the nearest border point, in the norm
+whose unit ball is the window. `cv2.getOptimalNewCameraMatrix` and `cv2.stereoRectify` use extremes
+of the border instead. For convergent or rolled cameras they show a small part of the field, or
+invalid pixels.
 """
 
 from collections.abc import Sequence
@@ -35,14 +35,17 @@ CAMERA_FRAME = Pose(np.eye(3, 4))
 
 
 class Windows(NamedTuple):
-    """Windows of several images in one image plane.
+    """Scale and position of several undistorted images in one common image plane.
+
+    A pixel is `scale_px` times the coordinates of the plane, (x/z, y/z), plus the origin. The
+    coordinates may include the ratio of the focal lengths and the skew.
 
     Attributes
     ----------
     scale_px : float
         Pixels per unit of the plane, equal for all images.
     origins_px : (v, 2)
-        Pixel coordinates of the plane's origin in each image.
+        Pixel of the plane's origin, the principal point, in each image.
     """
 
     scale_px: float
@@ -52,10 +55,11 @@ class Windows(NamedTuple):
 def border_in_plane(
     lens: Intrinsics, ideal_from_cam: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "m 2"]:
-    """Ideal coordinates (x/z, y/z) of the border of an image, once around, (m, 2).
+    """Border of an image, once around, in the plane of an undistorted image, (m, 2).
 
-    If the distortion folds in the corners, the result is the border of the part inside the fold.
-    Points farther than WIDEST_DEG from the ideal axis are moved to that angle.
+    The coordinates are (x/z, y/z) after the rotation `ideal_from_cam`. If the distortion folds in
+    the corners, the border is cut at the fold. Points farther than 75 degrees from the new optical
+    axis are moved to that angle.
 
     Raises
     ------
@@ -76,12 +80,15 @@ def border_in_plane(
         )
     x, y, z = (rays @ ideal_from_cam.T).T
     across = np.maximum(np.hypot(x, y), np.finfo(float).tiny)
-    reach = np.where(across <= _WIDEST * z, across / np.where(z > 0, z, 1.0), _WIDEST)
-    return np.stack([x, y], axis=1) * (reach / across)[:, None]
+    radius = np.where(across <= _WIDEST * z, across / np.where(z > 0, z, 1.0), _WIDEST)
+    return np.stack([x, y], axis=1) * (radius / across)[:, None]
 
 
 def _cut_at_fold(lens: Intrinsics, uv_px: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "m 2"]:
-    """Move points beyond the valid radius of the lens radially onto that radius, (m, 2) px."""
+    """Move points beyond the valid radius of the lens toward the principal point, to that radius.
+
+    Points are (m, 2) in px.
+    """
     centre_px = np.asarray(lens.principal_point_px)
     offset = uv_px - centre_px
     away_px = np.maximum(np.linalg.norm(offset, axis=1), np.finfo(float).tiny)
@@ -89,30 +96,36 @@ def _cut_at_fold(lens: Intrinsics, uv_px: Float[np.ndarray, "m 2"]) -> Float[np.
 
 
 def _list_border(size_px: tuple[int, int]) -> Float[np.ndarray, "m 2"]:
-    """Centres of the outermost pixels, once around, (m, 2) px."""
+    """Centres of pixels on the image border, once around, (m, 2) px."""
     width, height = size_px
     along = np.linspace(0.0, 1.0, _STEPS, endpoint=False)
-    there, back = along, 1 - along
+    rising, falling = along, 1 - along
     zero, one = np.zeros(_STEPS), np.ones(_STEPS)
-    u = np.concatenate([there, one, back, zero]) * (width - 1)
-    v = np.concatenate([zero, there, one, back]) * (height - 1)
+    u = np.concatenate([rising, one, falling, zero]) * (width - 1)
+    v = np.concatenate([zero, rising, one, falling]) * (height - 1)
     return np.stack([u, v], axis=1)
 
 
 def fit_windows(
     borders: Sequence[Float[np.ndarray, "_ 2"]], size_px: tuple[int, int], alpha: float
 ) -> Windows | None:
-    """Windows of equal size and scale with common rows; None if no pixel can be valid.
+    """Fit windows of equal size and scale to fields of view; None if no pixel can be valid.
+
+    All windows have the same v origin, so that their rows correspond.
 
     Parameters
     ----------
     borders : sequence of (m, 2)
-        Border of the field of each camera, once around, in the ideal image plane.
+        Border of the field of view of each camera, once around, in the plane of `Windows`.
     size_px : (width, height)
         Size of every window.
     alpha : float
-        0: the largest windows inside the fields, so that all pixels are valid. 1: the smallest
-        windows around the fields. Values between interpolate scale and position.
+        Size of the windows. 0: the largest inside the fields, so that all pixels are valid. 1: the
+        smallest around the fields. For values between, scale and position are interpolated.
+
+    Returns
+    -------
+    Windows or None
     """
     half = (np.array(size_px) - 1) / 2
     # In units in which all windows are squares.
@@ -128,15 +141,18 @@ def fit_windows(
 
 
 def _windows(
-    reach: float, middles: Float[np.ndarray, "v 2"], half: Float[np.ndarray, "2"]
+    half_side: float, centres: Float[np.ndarray, "v 2"], half: Float[np.ndarray, "2"]
 ) -> Windows:
-    return Windows(1 / reach, half * (1 - middles / reach))
+    return Windows(1 / half_side, half * (1 - centres / half_side))
 
 
 def _smallest_around(
     regions: Sequence[Float[np.ndarray, "_ 2"]],
 ) -> tuple[float, Float[np.ndarray, "v 2"]]:
-    """(half a side, middles) of the smallest equal squares that contain the regions."""
+    """Smallest equal squares that contain the regions: (half side, centres (v, 2)).
+
+    All centres have the same y. A region is the border (m, 2) of a field of view.
+    """
     low = np.stack([region.min(axis=0) for region in regions])
     high = np.stack([region.max(axis=0) for region in regions])
     low[:, 1], high[:, 1] = low[:, 1].min(), high[:, 1].max()
@@ -146,35 +162,41 @@ def _smallest_around(
 def _largest_inside(
     regions: Sequence[Float[np.ndarray, "_ 2"]],
 ) -> tuple[float, Float[np.ndarray, "v 2"]] | None:
-    """(half a side, middles) of the largest equal squares inside the regions, or None."""
+    """Largest equal squares inside the regions: (half side, centres (v, 2)), or None.
+
+    All centres have the same y. None if no square lies inside every region.
+    """
     low = np.stack([region.min(axis=0) for region in regions])
     high = np.stack([region.max(axis=0) for region in regions])
-    middles, spans = (low + high) / 2, (high - low) / 2
-    middles[:, 1], spans[:, 1] = middles[0, 1], spans[0, 1]
+    centres, spans = (low + high) / 2, (high - low) / 2
+    centres[:, 1], spans[:, 1] = centres[0, 1], spans[0, 1]
     grid, best = np.linspace(-1, 1, _GRID), -np.inf
     for _ in range(_ROUNDS):
-        x = middles[:, :1] + spans[:, :1] * grid
-        y = middles[0, 1] + spans[0, 1] * grid
-        reaches = np.stack([_reach_inside(*each, y) for each in zip(regions, x, strict=True)])
-        common = np.minimum(reaches[0], reaches[1:].max(axis=1).min(axis=0, initial=np.inf))
+        x = centres[:, :1] + spans[:, :1] * grid
+        y = centres[0, 1] + spans[0, 1] * grid
+        half_sides = np.stack(
+            [_half_side_inside(*each, y) for each in zip(regions, x, strict=True)]
+        )
+        common = np.minimum(half_sides[0], half_sides[1:].max(axis=1).min(axis=0, initial=np.inf))
         column, row = np.unravel_index(np.argmax(common), common.shape)
         if common[column, row] >= best:
             best = common[column, row]
-            columns = [column, *reaches[1:, :, row].argmax(axis=1)]
-            middles = np.array([(xs[k], y[row]) for xs, k in zip(x, columns, strict=True)])
+            columns = [column, *half_sides[1:, :, row].argmax(axis=1)]
+            centres = np.array([(xs[k], y[row]) for xs, k in zip(x, columns, strict=True)])
         spans = spans * _NARROWER
-    return (float(best) * (1 - _BEND), middles) if best > 0 else None
+    return (float(best) * (1 - _BEND), centres) if best > 0 else None
 
 
-def _reach_inside(
+def _half_side_inside(
     region: Float[np.ndarray, "m 2"], x: Float[np.ndarray, "i"], y: Float[np.ndarray, "j"]
 ) -> Float[np.ndarray, "i j"]:
-    """Half the side of the largest square inside a region about each (x, y), (i, j).
+    """Half side of the largest square inside a region, for each centre (x, y), (i, j).
 
-    Negative for a middle outside the region.
+    `x` and `y` are the coordinates of a grid of i x j centres. The result is negative for a centre
+    outside the region.
     """
-    middles = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 1, 2)
-    start = region - middles
+    centres = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 1, 2)
+    start = region - centres
     side = np.roll(region, -1, axis=0) - region
     (a, b), (da, db) = np.moveaxis(start, -1, 0), side.T
     # The larger of |a + t da| and |b + t db| is convex in t: it is least where one of them is zero,
@@ -196,7 +218,11 @@ def _is_inside(
     da: Float[np.ndarray, "m"],
     db: Float[np.ndarray, "m"],
 ) -> Bool[np.ndarray, "n"]:
-    """Test if the origin is inside polygons: a ray from it crosses an odd number of sides, (n,)."""
+    """Return True for polygons that contain the origin, (n,).
+
+    `a` and `b` are the x and y of the corners of n polygons; `da` and `db` are the sides. Test: a
+    ray from the origin crosses an odd number of sides.
+    """
     crosses = (b > 0) != (np.roll(b, -1, axis=1) > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         right = a - b * da / db > 0

@@ -19,15 +19,15 @@ from trinoc.numerics.values import Value
 
 
 class PoseModel(Enum):
-    """Free parameters of a camera pose in a fit; the value is the tuple of their names.
+    """Choice of the pose parameters that a fit estimates. The value is the tuple of their names.
 
     Attributes
     ----------
     AIMED :
-        Pan, tilt, swing and distance. The intersection of optical axis and sheet is fixed, by
-        default at the origin.
+        Pan, tilt, swing and distance. The aim, which is the intersection of the optical axis with
+        the sheet Z = 0, is fixed.
     AIM_FREE :
-        These and the aim: any pose whose optical axis meets the sheet Z = 0.
+        Pan, tilt, swing, distance and aim: any pose whose optical axis meets the sheet.
     RIGID :
         Any rigid motion: a rotation and a displacement relative to the initial pose.
 
@@ -42,22 +42,25 @@ class PoseModel(Enum):
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters of one camera, with units."""
+        """Names of the pose parameters of one camera, with units."""
         return self.value
 
     @property
     def size(self) -> int:
-        """Number of free parameters."""
+        """Number of pose parameters that a fit estimates."""
         return len(self.value)
 
     @property
     def option_name(self) -> str:
-        """Spelling in options and arguments: "aimed", "aim-free" or "rigid"."""
+        """Name of the model in options and arguments: "aimed", "aim-free" or "rigid"."""
         return self.name.lower().replace("_", "-")
 
     @classmethod
     def of(cls, value: "PoseModel | str") -> "PoseModel":
-        """Return the model for a PoseModel or its option name. Raises InputError otherwise."""
+        """Convert an option name to a PoseModel; a PoseModel is returned unchanged.
+
+        Raise `InputError` for any other value.
+        """
         for model in cls:
             if value is model or value == model.option_name:
                 return model
@@ -68,9 +71,10 @@ class PoseModel(Enum):
 
 
 def pose_model_over_sheet(pose_model: PoseModel | str) -> PoseModel:
-    """Return the pose model of a calibration over a sheet.
+    """Convert an option name to a PoseModel with an aim: AIMED or AIM_FREE.
 
-    Raises InputError for RIGID and for unknown names.
+    Raise `InputError` for RIGID, which a calibration over a sheet cannot use, and for unknown
+    names.
     """
     model = PoseModel.of(pose_model)
     if model is PoseModel.RIGID:
@@ -91,9 +95,9 @@ class Pose(Value):
 
     Notes
     -----
-    Fits take small steps from a pose (`retract`) in local coordinates without a singularity. Pan
-    and swing have one: they become one angle if a camera looks straight down, which is a common
-    position. Pan, tilt, swing and distance are computed at the end (`parameters`,
+    A fit changes a pose by small steps in local coordinates (`retract`), which have no singularity.
+    Pan and swing have one: for a camera that looks straight down they are one angle. A fit
+    therefore computes pan, tilt, swing and distance at the end (`parameters`,
     `d_parameters_d_delta`).
     """
 
@@ -103,7 +107,7 @@ class Pose(Value):
     def from_centre(
         cls, rotation: Float[ArrayLike, "3 3"], centre_world_mm: Float[ArrayLike, "3"]
     ) -> "Pose":
-        """Pose from the cam_from_world rotation and the centre of projection in the world, mm."""
+        """Pose from the rotation cam_from_world and the centre of projection in the world, mm."""
         return cls.from_translation(rotation, -(rotation @ centre_world_mm))
 
     @classmethod
@@ -113,7 +117,10 @@ class Pose(Value):
         distance_mm: Float[ArrayLike, ""],
         aim_mm: Float[ArrayLike, "2"],
     ) -> "Pose":
-        """Pose from a rotation, and the point (X, Y, 0) at `distance_mm` on the optical axis."""
+        """Pose from the rotation cam_from_world and the aim on the sheet Z = 0.
+
+        The aim is the point (X, Y, 0) on the optical axis, `distance_mm` in front of the camera.
+        """
         zero = jnp.zeros_like(distance_mm)
         aim_cam = jnp.stack([zero, zero, jnp.asarray(distance_mm)])
         return cls.from_translation(rotation, aim_cam - rotation[:, :2] @ aim_mm)
@@ -122,14 +129,14 @@ class Pose(Value):
     def from_translation(
         cls, rotation: Float[ArrayLike, "3 3"], translation_mm: Float[ArrayLike, "3"]
     ) -> "Pose":
-        """Pose from R and t of x_cam = R x_world + t."""
+        """Pose from the rotation R and the translation t of x_cam = R x_world + t."""
         # NumPy in, NumPy out: searches over many poses are faster without JAX.
         xp = array_namespace(rotation, translation_mm)
         return cls(xp.concatenate([rotation, translation_mm[:, None]], axis=1))
 
     @classmethod
     def from_parameters(cls, parameters: Float[ArrayLike, "6"]) -> "Pose":
-        """Pose from (pan, tilt, swing in rad, distance, aim X, aim Y in mm)."""
+        """Pose from (pan, tilt, swing, distance, aim X, aim Y), in rad and mm."""
         xp = array_namespace(parameters)
         pan, tilt, swing, distance = (parameters[k] for k in range(4))
         rotation = rotation_from_pan_tilt_swing(pan, tilt, swing)
@@ -138,44 +145,45 @@ class Pose(Value):
 
     @property
     def rotation(self) -> Float[ArrayLike, "3 3"]:
-        """Rotation cam_from_world (3, 3); its rows are the camera's x, y, z in the world frame."""
+        """Rotation cam_from_world (3, 3); its rows are the camera's x, y, z axes in the world."""
         return self.cam_from_world[:, :3]
 
     @property
     def translation_mm(self) -> Float[ArrayLike, "3"]:
-        """Translation t of x_cam = R x_world + t: the world origin in the camera frame, (3,)."""
+        """Translation t of x_cam = R x_world + t: the world origin in the camera frame, (3,) mm."""
         return self.cam_from_world[:, 3]
 
     @property
     def centre_world_mm(self) -> Float[ArrayLike, "3"]:
-        """Centre of projection in the world frame, (3,)."""
+        """Centre of projection in the world frame, (3,) mm."""
         return -self.rotation.T @ self.translation_mm
 
     @property
     def distance_mm(self) -> Float[ArrayLike, ""]:
-        """Distance from the centre along the optical axis to Z = 0.
+        """Distance from the centre of projection along the optical axis to the sheet Z = 0.
 
-        Negative if the intersection is behind the camera; infinite if axis and plane are parallel.
+        Negative if the intersection is behind the camera; infinite if the axis is parallel to the
+        sheet.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             return -self.centre_world_mm[2] / self.rotation[2, 2]
 
     @property
     def aim_mm(self) -> Float[ArrayLike, "2"]:
-        """Intersection (X, Y) of the optical axis with Z = 0."""
+        """Intersection (X, Y) of the optical axis with the sheet Z = 0, (2,) mm."""
         return (self.centre_world_mm + self.distance_mm * self.rotation[2])[:2]
 
     @property
     def cam_from_sheet(self) -> Float[ArrayLike, "3 3"]:
-        """Homography (3, 3) from (X, Y, 1) on the sheet Z = 0 to the camera frame."""
+        """Matrix (3, 3) from (X, Y, 1) on the sheet Z = 0 to the camera frame, mm."""
         rotation = self.rotation
         return jnp.stack([rotation[:, 0], rotation[:, 1], self.translation_mm], axis=1)
 
     @property
     def parameters(self) -> Float[ArrayLike, "6"]:
-        """Parameters (pan, tilt, swing in rad, distance, aim X, aim Y in mm), (6,).
+        """Pose parameters (pan, tilt, swing, distance, aim X, aim Y), (6,), in rad and mm.
 
-        Distance and aim are NaN if the axis does not meet Z = 0 in front of the camera.
+        Distance and aim are NaN if the optical axis does not meet Z = 0 in front of the camera.
         """
         xp = array_namespace(self.cam_from_world)
         pan, tilt, swing = pan_tilt_swing_from_rotation(self.rotation)
@@ -186,26 +194,26 @@ class Pose(Value):
 
     @property
     def inverse(self) -> "Pose":
-        """The inverse motion, world_from_cam."""
+        """The inverse rigid motion, world_from_cam."""
         return Pose.from_translation(self.rotation.T, self.centre_world_mm)
 
     def __matmul__(self, first: "Pose") -> "Pose":
-        """Composition a_from_c = a_from_b @ b_from_c: `first` is applied first."""
+        """Composition a_from_c = a_from_b @ b_from_c: the argument `first` is applied first."""
         moved = self.rotation @ first.translation_mm + self.translation_mm
         return Pose.from_translation(self.rotation @ first.rotation, moved)
 
     def transform(self, point_world_mm: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3"]:
-        """Coordinates in the camera frame of one world point, (3,) mm."""
+        """Convert one world point to the camera frame, (3,) mm."""
         return self.rotation @ point_world_mm + self.translation_mm
 
     def transform_points(
         self, points_world_mm: Float[ArrayLike, "*n 3"]
     ) -> Float[ArrayLike, "*n 3"]:
-        """Coordinates in the camera frame of world points, (..., 3) mm."""
+        """Convert world points to the camera frame, (..., 3) mm."""
         return points_world_mm @ self.rotation.T + self.translation_mm
 
     def aim_at_origin(self) -> "Pose":
-        """Turn the pose by the smallest rotation that puts the world origin on the optical axis.
+        """Rotate the camera by the smallest angle that puts the world origin on its optical axis.
 
         The origin must lie in front of the camera.
         """
@@ -216,16 +224,17 @@ class Pose(Value):
     def retract(
         self, delta: Float[ArrayLike, "p"], model: PoseModel, unit_mm: ScalarLike
     ) -> "Pose":
-        """Return this pose after a small step; a zero step returns the pose itself.
+        """Return this pose after a small step `delta`; a zero step returns an equal pose.
 
         Parameters
         ----------
         delta : (p,)
-            First a rotation vector in rad about the camera axes (`cayley_rotation`). Then lengths
-            in units of `unit_mm`. AIMED: change of distance. AIM_FREE: change of distance and of
-            the aim's X and Y. RIGID: displacement of the centre along the world axes.
+            Local coordinates of the step. The first three are a rotation vector in rad about the
+            camera axes (`cayley_rotation`). The rest are lengths in units of `unit_mm`. AIMED:
+            change of the distance. AIM_FREE: changes of the distance and of the aim's X and Y.
+            RIGID: displacement of the centre along the world axes.
         model : PoseModel
-            Free parameters.
+            The pose model, which determines the number p of coordinates.
         unit_mm : float
             Length unit, for example the working distance, so that all entries of `delta` have
             similar size.
@@ -239,7 +248,10 @@ class Pose(Value):
         return Pose.from_aim(rotation, self.distance_mm + unit_mm * delta[3], aim)
 
     def model_parameters(self, model: PoseModel, origin: "Pose") -> Float[ArrayLike, "p"]:
-        """Parameters that `model` names, (p,), in rad and mm; for RIGID relative to `origin`."""
+        """Values (p,) of the parameters of a pose model, in rad and mm.
+
+        RIGID parameters are relative to the pose `origin`; the other models ignore `origin`.
+        """
         if model is not PoseModel.RIGID:
             return self.parameters[: model.size]
         turn = vector_from_rotation(self.rotation @ origin.rotation.T)
@@ -248,14 +260,14 @@ class Pose(Value):
     def d_parameters_d_delta(
         self, model: PoseModel, unit_mm: ScalarLike, origin: "Pose"
     ) -> Float[ArrayLike, "p p"]:
-        """Jacobian (p, p) of `model_parameters` by a step of `retract` at this pose."""
+        """Jacobian (p, p) at this pose of `model_parameters` by the step `delta` of `retract`."""
         return jax.jacfwd(
             lambda delta: self.retract(delta, model, unit_mm).model_parameters(model, origin)
         )(jnp.zeros(model.size, jnp.asarray(self.cam_from_world).dtype))
 
 
 def _turn_to_axis(ray: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
-    """Smallest rotation that maps a unit vector with z > 0 onto the optical axis, (3, 3)."""
+    """Smallest rotation (3, 3) that maps a unit vector with z > 0 onto (0, 0, 1)."""
     x, y, z = ray[0], ray[1], ray[2]
     factor = 1 / (1 + z)
     rows = [

@@ -25,17 +25,17 @@ from trinoc.numerics.vectors import (
 
 
 class Projection(NamedTuple):
-    """Undistorted pixels of points with their derivatives.
+    """Undistorted pixels of points with their depths and derivatives.
 
     Attributes
     ----------
     uv_px : (..., 2)
         Pixel of each point.
     depth : (...)
-        z in the camera frame, positive in front. In mm if the third row of the matrix has unit
-        length.
+        Depth z in the camera frame, positive in front of the camera. In mm if the third row of the
+        projection matrix has a left part of unit length.
     by_point : (..., 2, 3)
-        Derivative of the pixel by the point's coordinates, px/mm.
+        Derivative of the pixel by the coordinates of the point, px/mm.
     """
 
     uv_px: Float[NumpyOrTraced, "*n 2"]
@@ -46,7 +46,7 @@ class Projection(NamedTuple):
 def project_point(
     pose: Pose, lens: AbstractLens, point_world_mm: Float[ArrayLike, "3"]
 ) -> Float[ArrayLike, "2"]:
-    """Pixel (2,) that images a world point through a lens, for use under `jit`, `grad` and `vmap`.
+    """Pixel (2,) that images a world point through a lens. Usable inside `jit`, `grad` and `vmap`.
 
     Meaningless for a point that the lens cannot image, for example behind a pinhole camera.
     """
@@ -56,9 +56,19 @@ def project_point(
 def project_by_matrix(
     matrix_px: Float[ArrayLike, "*m 3 4"], points_world_mm: Float[ArrayLike, "*n 3"]
 ) -> Float[NumpyOrTraced, "*e 2"]:
-    """Undistorted pixels of points by a projection matrix; NumPy if both arguments are NumPy.
+    """Undistorted pixels of world points, by projection matrices.
 
-    Several matrices (*m, 3, 4) take points (*m, e, 3), one set per matrix. Leading axes broadcast.
+    Parameters
+    ----------
+    matrix_px : (*m, 3, 4)
+        One projection matrix, or several.
+    points_world_mm : (3,), (e, 3) or (*m, e, 3)
+        Points in the world frame; e points for each matrix. Leading axes *m broadcast.
+
+    Returns
+    -------
+    (..., 2)
+        Pixels. A NumPy array if both arguments are NumPy arrays.
     """
     image = homogeneous_pixel(matrix_px, points_world_mm)
     return image[..., :2] / image[..., 2:]
@@ -67,7 +77,10 @@ def project_by_matrix(
 def project_with_jacobian(
     matrix_px: Float[ArrayLike, "*m 3 4"], points_world_mm: Float[ArrayLike, "*n 3"]
 ) -> Projection:
-    """Pixels, depths and derivatives; same arguments as `project_by_matrix`."""
+    """Undistorted pixels, depths and derivatives of world points.
+
+    The arguments are those of `project_by_matrix`.
+    """
     image = homogeneous_pixel(matrix_px, points_world_mm)
     uv, depth = image[..., :2] / image[..., 2:], image[..., 2]
     rows: Any = matrix_px if points_world_mm.ndim == 1 else matrix_px[..., None, :, :]
@@ -79,9 +92,9 @@ def project_with_jacobian(
 def homogeneous_pixel(
     matrix_px: Float[ArrayLike, "*m 3 4"], points_world_mm: Float[ArrayLike, "*n 3"]
 ) -> Any:
-    """Homogeneous pixels (u w, v w, w) of points, (*e, 3), where w is the depth.
+    """Homogeneous undistorted pixels (u w, v w, w) of world points, (..., 3); w is the depth.
 
-    Same arguments as `project_by_matrix`.
+    The arguments are those of `project_by_matrix`.
     """
     if is_traced(matrix_px, points_world_mm) and matrix_px.ndim > 2:
         # Sums of products and no products of matrices, which XLA computes one by one.
@@ -95,9 +108,9 @@ def homogeneous_pixel(
 def image_of_point(
     matrix_px: Float[ArrayLike, "... 3 4"], point: Vector3
 ) -> tuple[Vector2, Scalar]:
-    """(undistorted pixel, depth) of points whose coordinates are separate arrays.
+    """Undistorted pixels and depths of points whose coordinates are separate arrays.
 
-    XLA fuses kernels over long arrays of points in this form.
+    Returns ((u, v), depth). The compiler XLA fuses operations on separate coordinate arrays.
     """
     u, v, depth = (
         dot3(vector3(matrix_px[..., k, :3]), point) + matrix_px[..., k, 3] for k in range(3)
@@ -106,9 +119,9 @@ def image_of_point(
 
 
 def pixel_change(uv_px: Vector2, depth: Scalar, change: Vector3) -> Vector2:
-    """First-order change of a pixel by a change of its homogeneous coordinates.
+    """First-order change (du, dv) of a pixel for a change of its homogeneous coordinates.
 
-    `depth` is the third homogeneous coordinate.
+    `depth` is the third homogeneous coordinate of the pixel.
     """
     u, v = uv_px
     return (change[0] - u * change[2]) / depth, (change[1] - v * change[2]) / depth
@@ -117,21 +130,26 @@ def pixel_change(uv_px: Vector2, depth: Scalar, change: Vector3) -> Vector2:
 def project_points(
     pose: Pose, lens: AbstractLens, points_world_mm: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 2"]:
-    """Project any number of world points through a lens.
+    """Project world points through a lens, with NaN for points that the lens cannot image.
 
     Parameters
     ----------
     pose : Pose
         Pose of the camera, cam_from_world.
     lens : AbstractLens
-        Lens; not traced.
+        Lens.
     points_world_mm : (n, 3)
         Points in the world frame.
 
     Returns
     -------
     (n, 2)
-        Pixels; NaN beyond the fold of the lens. Few array lengths compile.
+        Pixels; NaN beyond the fold of the lens.
+
+    Notes
+    -----
+    Not usable inside `jit`. Arrays are padded to one of a few lengths, because each length is
+    compiled once.
     """
     uv_px = in_bucket(partial(_project_points, pose, lens), points_world_mm)
     return mask_folded(pose, lens, points_world_mm, uv_px)
@@ -143,9 +161,9 @@ def mask_folded(
     points_world_mm: Float[ArrayLike, "*n 3"],
     uv_px: Float[ArrayLike, "*n 2"],
 ) -> Any:
-    """Replace pixels by NaN if their rays lie beyond the fold of the lens.
+    """Replace pixels by NaN if their world points lie beyond the fold of the lens.
 
-    Pixels of a traced camera are returned unchanged.
+    Inside `jit` the pixels are returned unchanged, because the fold is not computed there.
     """
     if is_traced(pose, lens) or lens.valid_radius_px() == np.inf:
         return uv_px
@@ -156,7 +174,10 @@ def mask_folded(
 def unproject_pixels(
     lens: AbstractLens, uv_px: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Unit rays in the camera frame of any number of pixels, (n, 3). Few array lengths compile."""
+    """Unit rays (n, 3) of pixels, in the camera frame.
+
+    Arrays are padded to one of a few lengths, because each length is compiled once.
+    """
     return in_bucket(partial(_unproject_pixels, lens), uv_px)
 
 
@@ -175,15 +196,15 @@ def _unproject_pixels(
 
 
 class LineDistances(NamedTuple):
-    """Signed distances of points from the image of a line, with derivatives.
+    """Signed distances of image points from the image of a 3-D line, with derivatives.
 
     Attributes
     ----------
     distance_px : (*m, e)
-        Positive on the right of the direction from the first to the second end, as displayed (v
-        down).
+        Positive for a point on the right of the direction from the first to the second end of the
+        line, as displayed (v down).
     by_ends : (*m, e, 2, 3)
-        Derivative by the ends of the line, px/mm.
+        Derivative of the distance by the ends of the line, px/mm.
     """
 
     distance_px: Float[NumpyOrTraced, "*m e"]
@@ -195,10 +216,20 @@ def distances_from_line(
     ends_mm: Float[ArrayLike, "*n 2 3"],
     points_px: Float[ArrayLike, "*m e 2"],
 ) -> LineDistances:
-    """Distances of undistorted pixels from the image of the line through two points in space.
+    """Signed distances of image points from the image of the line through two 3-D points.
 
-    Several matrices (*m, 3, 4) have points (*m, e, 2), one set per matrix; leading axes of the ends
-    broadcast. The position of the two ends along the line does not matter, if their images differ.
+    Parameters
+    ----------
+    matrix_px : (*m, 3, 4)
+        One projection matrix, or several.
+    ends_mm : (..., 2, 3)
+        Two different points of the line in the world frame; leading axes broadcast with *m.
+    points_px : (*m, e, 2)
+        Undistorted pixels; e points for each matrix.
+
+    Returns
+    -------
+    LineDistances
     """
     image = project_with_jacobian(matrix_px, ends_mm)
     uv, xp = image.uv_px, array_namespace(matrix_px, ends_mm, points_px)

@@ -1,7 +1,7 @@
 """Stereo rectification: two ideal cameras in which a point has the same row in both images.
 
-Both image planes are parallel to the baseline, at one distance. A point at depth z moves by f b / z
-along the rows from image to image. Source: Hartley and Zisserman, section 11.12.
+Both image planes are parallel to the baseline b, at the same distance f. The columns of a point at
+depth z differ by f b / z. Source: Hartley and Zisserman, section 11.12.
 """
 
 from collections.abc import Mapping
@@ -43,6 +43,8 @@ _FIELD_STEPS, _FAR = 33, 100.0
 class Disparity(NamedTuple):
     """Relation between disparity and depth in two rectified images.
 
+    The disparity is u in the first image minus u in the second, px.
+
     Attributes
     ----------
     first, second : str
@@ -59,7 +61,7 @@ class Disparity(NamedTuple):
     product_px_mm: float
 
     def depth_mm(self, difference_px: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Depths, mm, from disparities: u in the first image minus u in the second, px."""
+        """Convert disparities, px, to depths, mm."""
         return self.product_px_mm / (difference_px - self.offset_px)
 
 
@@ -67,22 +69,23 @@ class Disparity(NamedTuple):
 def rectify_pair(
     rig: Rig, *, alpha: float = 0.0, image_size_px: tuple[int, int] | None = None
 ) -> tuple[Rig, Disparity]:
-    """Rectify two cameras: same centres, common rotation, equal rows.
+    """Rectify two cameras: a scene point then has the same row in both images.
 
     Parameters
     ----------
     rig : Rig
         Exactly two cameras.
     alpha : float
-        Part of the field that the new images show, as in `undistort_lens`.
+        Part of the field of view that the new images show, as in `undistort_lens`.
     image_size_px : (width, height), optional
         Size of both images. Default: the larger width and the larger height of the two.
 
     Returns
     -------
     Rig
-        The ideal cameras. Their covariance is propagated from the poses; it is empty if the lenses
-        have errors.
+        Two pinhole cameras with the same centres as before and a common rotation. Their covariance
+        is propagated from the poses. The covariance is empty if `rig` has errors of lens
+        parameters.
     Disparity
         Conversion from disparity to depth.
 
@@ -90,8 +93,8 @@ def rectify_pair(
     ------
     InputError
         If the rig does not have two cameras with different centres; if one camera looks along the
-        baseline or has the other in its image; if the cameras have no common rows; if less than a
-        tenth of the common field remains (`share_of_common_field`).
+        baseline or has the other camera in its image; if the cameras have no common rows; if the
+        new images show less than a tenth of the common field of view (`share_of_common_field`).
     """
     expect_alpha(alpha)
     if len(rig) != 2:
@@ -116,7 +119,7 @@ def rectify_pair(
     largest = tuple(max(sides) for sides in sizes)
     size_px = largest if image_size_px is None else whole_size_px(image_size_px)
 
-    def frame_pictures(alpha: float) -> dict[str, Camera]:
+    def fit_cameras(alpha: float) -> dict[str, Camera]:
         windows = fit_windows(borders, size_px, alpha)
         if windows is None:
             raise InputError(
@@ -131,10 +134,10 @@ def rectify_pair(
             for (name, camera), origin_px in zip(rig.items(), windows.origins_px, strict=True)
         }
 
-    cameras = frame_pictures(alpha)
+    cameras = fit_cameras(alpha)
     share = share_of_common_field(rig, cameras)
     if share < LEAST_SHARE:
-        full_share = share_of_common_field(rig, frame_pictures(1.0))
+        full_share = share_of_common_field(rig, fit_cameras(1.0))
         remedy = (
             f"Give alpha 1, which keeps {100 * full_share:.0f} %, or "
             if full_share > LEAST_SHARE
@@ -150,11 +153,11 @@ def rectify_pair(
 
 @in_float64
 def share_of_common_field(rig: Rig, cameras: Mapping[str, Camera]) -> float:
-    """Share of the common field of `rig` that both rectified `cameras` still see.
+    """Share, 0 to 1, of the common field of view of `rig` that both rectified `cameras` show.
 
-    NaN if the two cameras of the rig have no common field. The field is sampled on planes
-    perpendicular to the axes, at the depth where the optical axes approach each other most. If the
-    axes do not approach in front of the cameras, it is sampled at a large distance.
+    NaN if the two cameras of `rig` have no common field. The field is sampled on one plane for each
+    camera, perpendicular to its optical axis. The plane has the depth at which the two axes are
+    nearest to each other. If this point is not in front of the cameras, the depth is 100 baselines.
     """
     first, second = rig.cameras
     depths = _depths_of_approach(first, second)
@@ -175,7 +178,7 @@ def share_of_common_field(rig: Rig, cameras: Mapping[str, Camera]) -> float:
 
 
 def _is_imaged(camera: Camera, points_mm: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
-    """Test which points lie in front of a camera and inside its image, (n,)."""
+    """Return True for world points in front of a camera and inside its image, (n,)."""
     in_camera = points_mm @ np.asarray(camera.cam_from_world)[:, :3].T
     in_camera = in_camera + np.asarray(camera.cam_from_world)[:, 3]
     uv_px = project_points(CAMERA_FRAME, camera.intrinsics.lens, in_camera)
@@ -184,7 +187,10 @@ def _is_imaged(camera: Camera, points_mm: Float[np.ndarray, "n 3"]) -> Bool[np.n
 
 
 def _depths_of_approach(first: Camera, second: Camera) -> tuple[float, float]:
-    """Distance along each optical axis, mm, of the point nearest to the other axis."""
+    """Depth on each optical axis of the point nearest to the other camera's axis, mm.
+
+    A large depth for both cameras if the axes are parallel or nearest behind a camera.
+    """
     axes = np.stack([first.pose.rotation[2], second.pose.rotation[2]])
     baseline = np.asarray(second.centre_world_mm - first.centre_world_mm)
     far_mm = _FAR * float(np.linalg.norm(baseline))
@@ -197,7 +203,7 @@ def _depths_of_approach(first: Camera, second: Camera) -> tuple[float, float]:
 
 
 def _angle_deg(rig: Rig) -> float:
-    """Angle between the optical axes of two cameras."""
+    """Angle between the optical axes of the two cameras of a rig, degrees."""
     first, second = (camera.pose.rotation[2] for camera in rig.cameras)
     return float(np.degrees(np.arccos(np.clip(first @ second, -1, 1))))
 
@@ -211,7 +217,11 @@ def _disparity(cameras: dict[str, Camera]) -> Disparity:
 
 
 def _common_rotation(rig: Rig) -> Float[np.ndarray, "3 3"]:
-    """Rotation from the world to both ideal cameras, nearest to the mean of the two rotations."""
+    """Rotation from the world to both rectified cameras, (3, 3).
+
+    The first axis is the baseline. The third axis is the mean of the two viewing directions, made
+    perpendicular to the baseline. Raise `InputError` if these directions are parallel.
+    """
     first, second = (camera.centre_world_mm for camera in rig.cameras)
     right, _, forward = np.mean([camera.pose.rotation for camera in rig.cameras], axis=0)
     along = (second - first) / np.linalg.norm(second - first)
@@ -230,7 +240,11 @@ def _common_rotation(rig: Rig) -> Float[np.ndarray, "3 3"]:
 
 
 def _expect_directions(rig: Rig, ideal_from_world: Float[np.ndarray, "3 3"]) -> None:
-    """Raise InputError if a camera would turn too far or has the other one in its image."""
+    """Raise `InputError` if rectification is impossible for one of the two cameras.
+
+    This is the case if the camera would turn by more than 60 degrees, or has the other camera in
+    its image.
+    """
     for (name, camera), (other, partner) in zip(rig.items(), [*rig.items()][::-1], strict=True):
         axis = np.asarray(camera.pose.rotation[2])
         turn_deg = float(np.degrees(np.arccos(np.clip(axis @ ideal_from_world[2], -1, 1))))
@@ -258,9 +272,9 @@ def _turn_reason(camera: Camera, partner: Camera, other: str) -> str:
 
 
 def _has_in_image(camera: Camera, other: Camera) -> bool:
-    """Test if the line to another camera meets the image within WIDEST_DEG of the axis.
+    """Return True if the line to the other camera, in either direction, meets the camera's image.
 
-    An ideal image shows nothing beyond that angle.
+    Only directions within 75 degrees of the optical axis count: a rectified image shows no others.
     """
     ray = np.asarray(camera.pose.rotation @ (other.centre_world_mm - camera.centre_world_mm))
     ray = ray if ray[2] > 0 else -ray

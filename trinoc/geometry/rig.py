@@ -23,13 +23,16 @@ PARAMETER_NAMES = (*POSE_NAMES, "aim_x_mm", "aim_y_mm")
 
 
 def is_camera_name(name: object) -> bool:
-    """Test if a name suits files, tables and messages: printable characters, not all blank."""
+    """True if a name is usable in files, tables and messages.
+
+    The characters must be printable and not all blank; "." and ".." are excluded.
+    """
     text = isinstance(name, str)
     return text and name.isprintable() and bool(name.strip()) and name not in _NO_NAMES
 
 
 def check_camera_names(names: Iterable[object]) -> None:
-    """Raise InputError if a camera name is not allowed."""
+    """Raise `InputError` for the first camera name that `is_camera_name` rejects."""
     for name in names:
         if not is_camera_name(name):
             raise InputError(
@@ -39,7 +42,7 @@ def check_camera_names(names: Iterable[object]) -> None:
 
 
 class Rig(Displayable, Value):
-    """Named cameras, in the order the user gave them.
+    """Named cameras in one world frame, in the order the user gave them.
 
     Attributes
     ----------
@@ -48,9 +51,11 @@ class Rig(Displayable, Value):
     cameras : tuple of Camera
         Cameras, in the order of `names`.
     parameters : tuple of str
-        Names ("upper.pan_deg", ...) of the rows of `covariance`; empty if unknown.
+        Names ("upper.pan_deg", ...) of the rows of `covariance`; empty if the covariance is
+        unknown.
     covariance : (p, p)
-        Covariance of `parameters`, in degrees and mm; (0, 0) if unknown.
+        Covariance of `parameters`, in degrees, mm and the units of lens parameters; (0, 0) if
+        unknown.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -99,9 +104,9 @@ class Rig(Displayable, Value):
         Parameters
         ----------
         matrices_px : dict of (3, 4)
-            Projection matrix of each camera.
+            Projection matrix of each camera, keyed by camera name.
         image_size_px : (width, height), or dict
-            One size for all cameras, or one per camera.
+            One size for all cameras, or a size for each camera name.
 
         Returns
         -------
@@ -127,7 +132,7 @@ class Rig(Displayable, Value):
         return cls(cameras)
 
     def take(self, names: Collection[str]) -> "Rig":
-        """Return the rig of some cameras, with their part of the covariance.
+        """Return a rig of some of the cameras, with the covariance of their parameters.
 
         Parameters
         ----------
@@ -167,7 +172,7 @@ class Rig(Displayable, Value):
         return len(self.names)
 
     def items(self) -> Iterator[tuple[str, Camera]]:
-        """Iterate over (name, camera), in order."""
+        """Iterate over (name, camera), in the order of `names`."""
         return iter(zip(self.names, self.cameras, strict=True))
 
     @property
@@ -176,7 +181,7 @@ class Rig(Displayable, Value):
         return np.stack([camera.matrix_px for camera in self.cameras])
 
     def value(self, parameter: str) -> float:
-        """Return a pose parameter by its name.
+        """Return the value of a pose parameter.
 
         Parameters
         ----------
@@ -191,7 +196,7 @@ class Rig(Displayable, Value):
         Raises
         ------
         InputError
-            If the name is not a parameter of a camera of this rig.
+            If the name is not a pose parameter of a camera of this rig.
         """
         check_kind(parameter, str, "name of the parameter", 'one such as "left.pan_deg"')
         name, _, parameter_name = parameter.rpartition(".")
@@ -205,19 +210,22 @@ class Rig(Displayable, Value):
         return getattr(self[name], parameter_name)
 
     def covariance_of(self, parameters: Sequence[str]) -> Float[np.ndarray, "k k"]:
-        """Covariance (k, k) of parameters by name; zero for parameters without an entry."""
+        """Covariance (k, k) of the named parameters, in the order of `parameters`.
+
+        Rows and columns of a parameter that the rig's covariance does not contain are zero.
+        """
         rows = [self.parameters.index(p) if p in self.parameters else -1 for p in parameters]
         has_row = np.array(rows) >= 0
-        chosen = np.asarray(self.covariance)[np.ix_(rows, rows)]
-        return np.where(np.outer(has_row, has_row), chosen, 0.0)
+        covariance = np.asarray(self.covariance)[np.ix_(rows, rows)]
+        return np.where(np.outer(has_row, has_row), covariance, 0.0)
 
     def sigma(self, parameter: str) -> float:
-        """Return the standard deviation of a parameter by its name.
+        """Return the standard deviation of a pose or lens parameter.
 
         Parameters
         ----------
         parameter : str
-            A camera name with one of `PARAMETER_NAMES` or with a lens parameter.
+            A camera name with one of `PARAMETER_NAMES` or with a lens parameter: "upper.pan_deg".
 
         Returns
         -------
@@ -240,15 +248,18 @@ class Rig(Displayable, Value):
 
 
 def find_equal_centres(cameras: Mapping[str, Camera]) -> tuple[str, str] | None:
-    """Names of the first two cameras with the same centre of projection; None if all differ."""
+    """Names of the first two cameras with equal centres of projection; None if all differ.
+
+    Centres are equal if their separation is at most a millionth of their distance from the origin.
+    """
     names = list(cameras)
     centres = np.array([camera.centre_world_mm for camera in cameras.values()]).reshape(-1, 3)
     distances = np.linalg.norm(centres, axis=1)
     # One row at a time: models of other programs have thousands of cameras.
-    for number, name in enumerate(names[:-1]):
-        separation_mm = np.linalg.norm(centres[number + 1 :] - centres[number], axis=1)
-        nearest_mm = np.maximum(distances[number + 1 :], distances[number])
+    for index, name in enumerate(names[:-1]):
+        separation_mm = np.linalg.norm(centres[index + 1 :] - centres[index], axis=1)
+        nearest_mm = np.maximum(distances[index + 1 :], distances[index])
         is_equal = separation_mm <= _EQUAL_CENTRES * nearest_mm
         if is_equal.any():
-            return name, names[number + 1 + int(is_equal.argmax())]
+            return name, names[index + 1 + int(is_equal.argmax())]
     return None

@@ -23,11 +23,11 @@ def skew(vector: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
 
 
 def cayley_rotation(vector_rad: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
-    """Cayley map: rotation about a vector by 2 atan(length / 2), in rad.
+    """Cayley map: rotation (3, 3) about `vector_rad` by the angle 2 atan(length / 2), rad.
 
-    The angle equals the length to second order, so the map suits small steps. It is rational,
-    without the special case of Rodrigues' formula near zero. Source: A. Cayley, "Sur quelques
-    propriétés des déterminants gauches" (1846).
+    For small vectors, angle and length are equal to second order. The map is rational and has no
+    special case near zero. Source: A. Cayley, "Sur quelques propriétés des déterminants gauches"
+    (1846).
     """
     half = skew(0.5 * vector_rad)
     share = 2 / (1 + 0.25 * jnp.sum(jnp.square(vector_rad)))
@@ -35,9 +35,9 @@ def cayley_rotation(vector_rad: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"
 
 
 def rotation_from_vector(vector_rad: Float[ArrayLike, "3"]) -> Float[ArrayLike, "3 3"]:
-    """Rodrigues' formula: rotation (3, 3) about `vector_rad` by its length.
+    """Rotation (3, 3) about `vector_rad` by its length in rad: Rodrigues' formula.
 
-    Smooth at zero: below 1e-4 rad the coefficients come from their Taylor series.
+    Below 1e-4 rad a Taylor series is used, so that derivatives exist at zero.
     """
     squared = jnp.sum(jnp.square(vector_rad))
     small = squared < 1e-8
@@ -49,9 +49,10 @@ def rotation_from_vector(vector_rad: Float[ArrayLike, "3"]) -> Float[ArrayLike, 
 
 
 def vector_from_rotation(rotation: Float[ArrayLike, "3 3"]) -> Float[ArrayLike, "3"]:
-    """Inverse of `rotation_from_vector`: rotation vector (3,), rad, for angles below 90 degrees.
+    """Rotation vector (3,), rad, of a rotation; inverse of `rotation_from_vector`.
 
-    Smooth at zero: below 1e-6 rad the coefficient comes from its Taylor series.
+    The angle must be below 90 degrees. Below 1e-6 rad a Taylor series is used, so that derivatives
+    exist at zero.
     """
     axis = 0.5 * jnp.stack(
         [
@@ -71,8 +72,8 @@ def rotation_from_pan_tilt_swing(
 ) -> Float[ArrayLike, "3 3"]:
     """Rotation cam_from_world (3, 3); its rows are the camera's x (right), y (down), z (forward).
 
-    Pan is the azimuth of the camera from -Y toward +X. Tilt is its elevation above Z = 0. Swing
-    turns the image's x toward its y.
+    Pan is the azimuth of the camera, 0 on the -Y side and positive toward +X. Tilt is the elevation
+    of the camera above Z = 0. Swing turns the camera's x axis toward its y axis.
     """
     xp = array_namespace(pan_rad, tilt_rad, swing_rad)
     sin_p, cos_p = xp.sin(pan_rad), xp.cos(pan_rad)
@@ -85,9 +86,10 @@ def rotation_from_pan_tilt_swing(
 def pan_tilt_swing_from_rotation(
     rotation: Float[ArrayLike, "3 3"],
 ) -> tuple[Float[ArrayLike, ""], Float[ArrayLike, ""], Float[ArrayLike, ""]]:
-    """(pan, tilt, swing) in rad of a rotation; inverse of `rotation_from_pan_tilt_swing`.
+    """(pan, tilt, swing), rad, of a rotation cam_from_world.
 
-    At a tilt of +-90 degrees pan and swing are one angle. Rounding then decides their split.
+    This is the inverse of `rotation_from_pan_tilt_swing`. At a tilt of +-90 degrees only a
+    combination of pan and swing is defined; their separate values are arbitrary.
     """
     xp = array_namespace(rotation)
     x, forward = rotation[0], rotation[2]
@@ -103,7 +105,10 @@ def _level_axes(
     sin_t: Float[ArrayLike, ""],
     cos_t: Float[ArrayLike, ""],
 ) -> tuple[Float[ArrayLike, "3"], Float[ArrayLike, "3"], Float[ArrayLike, "3"]]:
-    """(right, down, forward) axes of a camera with swing 0, in the world frame."""
+    """Axes (right, down, forward) of a camera with swing 0, unit vectors in the world frame.
+
+    The arguments are sine and cosine of pan and tilt.
+    """
     xp = array_namespace(sin_p, cos_p, sin_t, cos_t)
     forward = xp.stack([-cos_t * sin_p, cos_t * cos_p, -sin_t])
     right = xp.stack([cos_p, sin_p, xp.zeros_like(sin_p)])

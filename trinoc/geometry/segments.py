@@ -36,25 +36,26 @@ DEFAULT_SIGMA_ALONG_PX = 2.0
 
 
 class Junctions(Table):
-    """Points where segments of one image meet.
+    """Points of one image where segments meet.
 
-    The last three fields form one table with a row per segment and junction.
+    The last three fields are columns of one table with a row for each segment at each junction.
 
     Attributes
     ----------
     uv_px : (j, 2)
-        Point nearest to all lines that meet, weighted by their sigmas.
+        Position of each junction: the point nearest to the lines of all its segments, weighted by
+        their sigmas.
     covariance_px2 : (j, 2, 2)
-        Covariance of that point.
+        Covariance of `uv_px`.
     kind : (j,)
-        "L": two ends. "Y": three ends. "T": an end on the body of a segment, or three ends of which
-        two are collinear. "X": four ends or more.
+        Type. "L": two ends. "Y": three ends. "T": an end on the body of a segment, or three ends
+        of which two are collinear. "X": four ends or more.
     junction : (m,)
-        Junction of each row.
+        Index of the junction in each row.
     segment : (m,)
-        Segment of each row.
+        Index of the segment in each row.
     end : (m,)
-        End of the segment at the junction, 0 or 1; -1 for its body.
+        The part of the segment that lies at the junction: 0 or 1 for an end, -1 for its body.
     """
 
     KIND: ClassVar[str] = "junctions"
@@ -87,19 +88,20 @@ class Segments(Displayable, Table):
     covariance_px2 : (n, 4, 4)
         Covariance of (u1, v1, u2, v2); much larger along a segment than across.
     polarity : (n,)
-        +1 if the darker side is on the right of the direction from the first to the second end, as
-        displayed. -1 if on the left, 0 if unknown.
+        Darker side of the segment, seen in the direction from the first to the second end, as
+        displayed. +1: right. -1: left. 0: unknown.
     contrast : (n,)
-        Step across the segment, grey levels; NaN if unknown.
+        Difference of the grey levels on both sides; NaN if unknown.
     support : (n,)
         Number of edge points that the segment was fitted to; 0 if unknown.
     image_size_px : (width, height) or None
         Size of the image; None if unknown.
     reasons : (n,) or None
         Largest contribution to the covariance besides noise: "neighbour", "saturated", "shaded",
-        "bent", or "" for none. None if unknown.
+        "bent", or "" if there is none. None if unknown.
     chain : (n,) or None
-        Common number of collinear pieces of one broken edge; None if not computed.
+        Id of the broken edge that the segment belongs to: collinear pieces of one edge have the
+        same id. None if not computed.
     junctions : Junctions or None
         Points where the segments meet; None if not computed.
     side_levels : (n, 2) or None
@@ -156,12 +158,12 @@ class Segments(Displayable, Table):
         sigma_along_px: float = DEFAULT_SIGMA_ALONG_PX,
         image_size_px: tuple[int, int] | None = None,
     ) -> "Segments":
-        """Create segments from the ends that any detector returns.
+        """Create segments from the end points that any detector returns.
 
         Parameters
         ----------
         endpoints_px : (n, 4), (n, 1, 4) or (n, 2, 2)
-            Rows x1 y1 x2 y2, the same as OpenCV returns them, or pairs of ends; pixels.
+            Rows x1 y1 x2 y2, as OpenCV returns them, or pairs of ends; pixels.
         sigma_px : float
             Standard deviation of each end across the segment.
         sigma_along_px : float
@@ -207,14 +209,18 @@ class Segments(Displayable, Table):
         )
 
     def take(self, rows: np.ndarray) -> "Segments":
-        """Return some of the segments, without junctions, whose indices refer to all segments."""
+        """Return the segments with the indices `rows`, without junctions.
+
+        Junctions are dropped because they contain indices of all segments.
+        """
         plain = replace(self, junctions=None)
         return replace(plain, **take_rows(plain.rows(), rows))
 
     def append(self, more: "Segments") -> "Segments":
-        """Append segments that have no junctions and belong to no chain of these.
+        """Append the segments `more`, each as the only piece of a new chain.
 
-        Optional columns that these segments lack are dropped from `more`.
+        `more` must have no junctions. Optional columns that this object lacks are dropped from
+        `more`.
         """
         first = int(np.max(self.chain, initial=-1)) + 1 if self.chain is not None else 0
         others = more.rows() | {"chain": np.arange(first, first + len(more))}
@@ -227,14 +233,14 @@ class Segments(Displayable, Table):
 
     @property
     def length_px(self) -> Float[ArrayLike, "n"]:
-        """Distance between the two ends, (n,) px."""
+        """Length of each segment, the distance between its ends, (n,) px."""
         return np.linalg.norm(np.diff(self.endpoints_px, axis=1)[:, 0], axis=-1)
 
 
 def as_endpoints(endpoints: ArrayLike) -> Float[np.ndarray, "n 2 2"]:
-    """Convert rows x1 y1 x2 y2, or pairs of ends, to pairs of ends (n, 2, 2).
+    """Convert (n, 4) or (n, 1, 4) rows x1 y1 x2 y2, or (n, 2, 2) pairs of ends, to (n, 2, 2).
 
-    Raises InputError for other shapes.
+    Raise `InputError` for other shapes.
     """
     if endpoints is None:
         raise InputError(
@@ -263,9 +269,10 @@ def covariance_of_ends(
     sigma_px: float | Float[np.ndarray, "n"],
     sigma_along_px: float | Float[np.ndarray, "n"],
 ) -> Float[np.ndarray, "n 4 4"]:
-    """Covariance (n, 4, 4) of segments whose two ends have independent errors.
+    """Covariance (n, 4, 4) of (u1, v1, u2, v2) of segments, px^2.
 
-    `sigma_px` and `sigma_along_px` are standard deviations across and along each segment.
+    The errors of the two ends are independent. `sigma_px` and `sigma_along_px` are the standard
+    deviations of each end across and along its segment.
     """
     direction = np.diff(endpoints_px, axis=1)[:, 0]
     direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
@@ -279,21 +286,25 @@ def covariance_of_ends(
 
 
 class LineObservations(Value):
-    """Tracks of corresponding fragments, with a first estimate of the 3-D line of each track.
+    """Tracks of corresponding fragments, with an initial 3-D line of each track.
+
+    A track has one fragment, a part of a segment, in each view that shows the line. The fragments
+    of a track correspond end to end.
 
     Attributes
     ----------
     views : tuple of str
         Names of the views, the order of axis v.
     fragments_px : (t, v, 2, 2)
-        Corresponding ends, in pixels of the image; any value where the line is not visible.
+        Ends of the fragments, in pixels of the image; any value where a view does not show the
+        line.
     covariance_px2 : (t, v, 4, 4)
-        Covariance of the fragments' ends.
+        Covariance of the ends of each fragment.
     seen : (t, v)
         True where a view shows the line.
     lines_mm : (t, 2, 3)
-        Two points of each line in the world frame. The refinement starts from them; the refined 3-D
-        segment is reported between them.
+        Two points of each line in the world frame. A refinement starts at this line and reports its
+        result as a 3-D segment between these points.
     """
 
     views: tuple[str, ...] = eqx.field(static=True)

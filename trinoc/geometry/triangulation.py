@@ -26,7 +26,7 @@ GAUSS_NEWTON_STEPS = 3
 
 
 class Segment3D(NamedTuple):
-    """A 3-D segment with its covariance.
+    """A 3-D segment fitted to fragments, with its covariance.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Segment3D(NamedTuple):
     covariance_mm2 : (6, 6)
         Covariance of both ends.
     chi_square : ()
-        Chi-square of the fit.
+        Squared residuals of the fragments' ends, weighted by their covariance.
     """
 
     ends_mm: Float[ArrayLike, "2 3"]
@@ -44,7 +44,10 @@ class Segment3D(NamedTuple):
 
 
 class _Iterate(NamedTuple):
-    """One Gauss-Newton iteration: covariance and chi-square at the ends, and the next ends."""
+    """Result of one Gauss-Newton iteration for the two ends of a 3-D segment.
+
+    Covariance and chi-square belong to the ends before the step; `next_mm` are the ends after it.
+    """
 
     covariance_mm2: Float[ArrayLike, "6 6"]
     chi_square: Float[ArrayLike, ""]
@@ -56,7 +59,7 @@ def triangulate_point(
     uv_px: Float[ArrayLike, "v 2"],
     weight: Float[ArrayLike, "v"],
 ) -> Float[ArrayLike, "3"]:
-    """Return the point nearest to viewing rays, in weighted least squares.
+    """Return the weighted least-squares point nearest to one viewing ray in each view.
 
     Parameters
     ----------
@@ -65,7 +68,7 @@ def triangulate_point(
     uv_px : (v, 2)
         Undistorted pixel of the point in each view.
     weight : (v,)
-        Weight of each view; 0 excludes a view.
+        Weight of each view's ray; 0 excludes a view.
 
     Returns
     -------
@@ -103,13 +106,13 @@ def triangulate_segment(
     covariance_px2 : (v, 4, 4)
         Covariance of the ends of each fragment.
     visible : (v,)
-        True for views that show the segment. Other views may contain any numbers, NaN included.
+        True for views that show the segment. The fragments of other views are ignored.
 
     Returns
     -------
     Segment3D
-        The covariance is (J^T W J)^-1 of the fragments' covariances; errors of the cameras are not
-        included. NaN if the visible views do not determine the segment.
+        Its covariance (J^T W J)^-1 contains the errors of the fragments, but not those of the
+        cameras. NaN if the visible views do not determine the segment.
     """
     weight = visible.astype(matrices_px.dtype)
     fragments = jnp.where(visible[:, None, None], fragments_px, 0.0)

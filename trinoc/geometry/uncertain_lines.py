@@ -17,7 +17,7 @@ from trinoc.numerics.values import Value
 
 
 class Measure(NamedTuple):
-    """A measured value and its standard deviation, in the unit of the measure."""
+    """Value of a measured quantity and its standard deviation, in the same unit."""
 
     value: float
     sigma: float
@@ -26,16 +26,19 @@ class Measure(NamedTuple):
 class UncertainLines(Value):
     """3-D segments with the joint covariance of all their ends.
 
+    The covariance has two parts: noise of each segment's fragments, and camera errors, which all
+    segments share.
+
     Attributes
     ----------
     ends_mm : (t, 2, 3)
         Ends in the world frame.
     fragment_covariance_mm2 : (t, 6, 6)
-        Part of the covariance that comes from the noise of each segment's fragments.
+        Part of each segment's covariance that comes from the noise of its fragments.
     by_parameters : (t, 6, k)
         Derivative of the ends by the camera parameters.
     parameter_covariance : (k, k)
-        Covariance of the camera parameters, the cause of the shared errors.
+        Covariance of the camera parameters.
     """
 
     ends_mm: Float[np.ndarray, "t 2 3"]
@@ -48,27 +51,30 @@ class UncertainLines(Value):
 
     @property
     def shared_covariance_mm2(self) -> Float[np.ndarray, "t 6 6"]:
-        """Part of the covariance of each segment that comes from the cameras, (t, 6, 6)."""
+        """Part of each segment's covariance that comes from the camera errors, (t, 6, 6)."""
         by = self.by_parameters
         return np.einsum("tik,kl,tjl->tij", by, self.parameter_covariance, by, optimize=True)
 
     @property
     def covariance_mm2(self) -> Float[np.ndarray, "t 6 6"]:
-        """Covariance of the ends of each segment, both parts together, (t, 6, 6)."""
+        """Covariance of the ends of each segment, fragment noise plus camera errors, (t, 6, 6)."""
         return self.fragment_covariance_mm2 + self.shared_covariance_mm2
 
     def joint_covariance_mm2(self, segments: Sequence[int]) -> Float[np.ndarray, "n n"]:
-        """Joint covariance of the ends of some segments, (n, n) with n = 6 per segment."""
-        chosen = np.asarray(segments)
-        by = self.by_parameters[chosen].reshape(6 * len(chosen), -1)
+        """Joint covariance (n, n) of the ends of several segments, n = 6 per segment.
+
+        `segments` are the indices of the segments, in the order of the rows.
+        """
+        indices = np.asarray(segments)
+        by = self.by_parameters[indices].reshape(6 * len(indices), -1)
         covariance = by @ self.parameter_covariance @ by.T
-        for block, segment in enumerate(chosen):
+        for block, segment in enumerate(indices):
             rows = slice(6 * block, 6 * block + 6)
             covariance[rows, rows] += self.fragment_covariance_mm2[segment]
         return covariance
 
     def measure(self, function: Callable[..., Float[ArrayLike, ""]], *segments: int) -> Measure:
-        """Evaluate a function of some segments, with its standard deviation by error propagation.
+        """Compute a quantity of one or more segments and its standard deviation.
 
         Parameters
         ----------
@@ -85,7 +91,8 @@ class UncertainLines(Value):
 
         Notes
         -----
-        Examples: `lines.measure(length_mm, 3)`, `lines.measure(angle_deg, 3, 7)`.
+        The standard deviation is propagated to first order. Examples: `lines.measure(length_mm,
+        3)`, `lines.measure(angle_deg, 3, 7)`.
         """
         return _measure(function, self.ends_mm[list(segments)], self.joint_covariance_mm2(segments))
 
@@ -100,14 +107,14 @@ def _measure(
 
 
 def length_mm(segment: Float[ArrayLike, "2 3"]) -> Float[ArrayLike, ""]:
-    """Distance between the two ends (2, 3) of a segment."""
+    """Length of a 3-D segment, mm: the distance between its ends (2, 3)."""
     return _norm(segment[1] - segment[0])
 
 
 def angle_deg(
     first: Float[ArrayLike, "2 3"], second: Float[ArrayLike, "2 3"]
 ) -> Float[ArrayLike, ""]:
-    """Angle between the lines of two segments (2, 3), from 0 to 90 degrees."""
+    """Angle between the lines of two 3-D segments with ends (2, 3), from 0 to 90 degrees."""
     a, b = first[1] - first[0], second[1] - second[0]
     return jnp.degrees(jnp.arctan2(_norm(jnp.cross(a, b)), jnp.abs(a @ b)))
 
@@ -115,9 +122,9 @@ def angle_deg(
 def distance_mm(
     first: Float[ArrayLike, "2 3"], second: Float[ArrayLike, "2 3"]
 ) -> Float[ArrayLike, ""]:
-    """Mean distance of the second segment's ends from the line of the first.
+    """Distance of the second segment's midpoint from the line of the first segment, mm.
 
-    This is the distance between parallel edges of a body. Both segments are ends (2, 3).
+    For parallel edges of a body this is the distance between them. Both arguments are ends (2, 3).
     """
     direction = (first[1] - first[0]) / _norm(first[1] - first[0])
     across = [

@@ -1,7 +1,8 @@
-"""Files: one file per format. Nothing below this room opens one.
+"""Reading and writing of files: one module for each format. No inner package opens a file.
 
-A file that is written is whole or not there; a file that is read is checked, and what is wrong is
-said in one sentence with the file, the key and the remedy."""
+A written file appears complete or not at all. A file that is read is checked. An error message
+names the file, the key, the fault and the remedy.
+"""
 
 import lazy_loader
 

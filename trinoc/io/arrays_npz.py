@@ -1,7 +1,7 @@
-"""npz files with a name and a version of their format, read without trusting what is in them.
+"""npz files with a format name and a version, read safely.
 
-What an array needs is read from its header, and compared with what is there and with a limit,
-before any memory is taken: a small file can announce, and unpack to, thousands of times its size.
+A small file can state, and unpack to, thousands of times its size. So the size that the header of
+an array states is compared with the file and with a limit before memory is reserved.
 """
 
 import ast
@@ -35,9 +35,10 @@ def write_arrays(
     *,
     compressed: bool = True,
 ) -> None:
-    """Write arrays, whole or not at all, beside the format's name and version.
+    """Write arrays to an npz file, together with a format name and a version.
 
-    Raises InputError for names and texts that no file can hold.
+    The file appears complete or not at all. Raise `InputError` for array names or strings with
+    characters that cannot be written.
     """
     for name, array in arrays.items():
         texts = array.ravel().tolist() if array.dtype.kind == "U" else ()
@@ -55,9 +56,9 @@ def write_arrays(
 def read_arrays(
     path: str | os.PathLike[str], format_name: str, version: int
 ) -> dict[str, np.ndarray]:
-    """The arrays of a file that `write_arrays` wrote.
+    """Read the arrays of a file of `write_arrays`, keyed by name, without format name and version.
 
-    Raises InputError for a file that is missing, broken or far too large, or of another format or
+    Raise `InputError` if the file is missing, damaged or too large, or has another format or
     version.
     """
     expect_path(path)
@@ -78,18 +79,24 @@ def read_arrays(
 
 
 def format_of_arrays(path: str | os.PathLike[str]) -> str:
-    """The format that a file of `write_arrays` states. Raises InputError as `read_arrays` does."""
+    """Format name in a file of `write_arrays`; empty if the file contains none.
+
+    Raise `InputError` for an unreadable file.
+    """
     return _one(_arrays(Path(path), ("format",)).get("format"))
 
 
 def load_array(path: Path) -> np.ndarray:
-    """The array of an npy file. Raises ValueError where it is damaged, OSError as `open` does."""
+    """Read the array of an npy file.
+
+    Raise ValueError if the file is damaged, and OSError if it cannot be opened.
+    """
     with path.open("rb") as file:
         return _array(file, os.fstat(file.fileno()).st_size)
 
 
 def _one(array: np.ndarray | None) -> str:
-    """One word or whole number as text; empty where there is none."""
+    """Convert an array of one word or one whole number to a string; "" for other arrays."""
     if array is None or array.ndim != 0 or array.dtype.kind not in "iuU":
         return ""
     return str(array)[:60]
@@ -126,7 +133,7 @@ def _arrays(file: Path, only: tuple[str, ...] | None = None) -> dict[str, np.nda
 
 
 class _CountingStream:
-    """A stream that counts what was read of it."""
+    """A binary stream that counts the bytes read from it, in `taken`."""
 
     def __init__(self, stream: Any) -> None:
         self.stream, self.taken = stream, 0
@@ -138,17 +145,17 @@ class _CountingStream:
 
 
 def _array(stream: Any, size: int) -> np.ndarray:
-    """The array of an npy stream of so many bytes. Raises ValueError where it is damaged."""
-    counted = _CountingStream(stream)
-    shape, fortran, dtype = _header(counted)
+    """Read the array of an npy stream of `size` bytes. Raise ValueError if it is damaged."""
+    counter = _CountingStream(stream)
+    shape, fortran, dtype = _header(counter)
     # Products of Python's whole numbers do not overflow.
-    wanted = math.prod(shape) * dtype.itemsize
-    if dtype.kind not in _KINDS or wanted != size - counted.taken or size > MOST_BYTES:
+    byte_count = math.prod(shape) * dtype.itemsize
+    if dtype.kind not in _KINDS or byte_count != size - counter.taken or size > MOST_BYTES:
         raise ValueError("The header does not describe what follows it.")
     if any(side < 0 for side in shape) or dtype.itemsize == 0:
         raise ValueError("The array has an impossible shape or type.")
-    content = bytearray(stream.read(wanted))
-    if len(content) != wanted:
+    content = bytearray(stream.read(byte_count))
+    if len(content) != byte_count:
         raise ValueError("The array ends early.")
     if stream.read(1):  # at the end, zipfile compares the check sum
         raise ValueError("The array goes on.")
@@ -159,9 +166,10 @@ def _array(stream: Any, size: int) -> np.ndarray:
 
 
 def _header(stream: _CountingStream) -> tuple[tuple[int, ...], bool, np.dtype]:
-    """(shape, whether in Fortran's order, dtype) by the head of an npy stream.
+    """Read the header of an npy stream: (shape, is in Fortran order, dtype).
 
-    NumPy's own function warns, and lets errors of Python's tokenizer through.
+    Raise ValueError for a damaged header. NumPy's own function would emit warnings, and raise other
+    exceptions.
     """
     start = stream.read(8)
     if start[:6] != npy.MAGIC_PREFIX or start[6:] not in (b"\1\0", b"\2\0"):
@@ -171,8 +179,8 @@ def _header(stream: _CountingStream) -> tuple[tuple[int, ...], bool, np.dtype]:
         (length,) = struct.unpack(form, stream.read(struct.calcsize(form)))
         if length > LONGEST_HEADER:
             raise ValueError("The header is too long.")
-        head = ast.literal_eval(stream.read(length).decode("latin-1").strip())
-        shape, fortran, kind = head["shape"], head["fortran_order"], head["descr"]
+        header = ast.literal_eval(stream.read(length).decode("latin-1").strip())
+        shape, fortran, kind = header["shape"], header["fortran_order"], header["descr"]
         dtype = np.dtype(kind) if isinstance(kind, str) else None
     except Exception as error:  # it is a text that Python parses, in whatever way it fails
         raise ValueError("The header is damaged.") from error
@@ -183,7 +191,7 @@ def _header(stream: _CountingStream) -> tuple[tuple[int, ...], bool, np.dtype]:
 
 
 def _expect_characters(texts: np.ndarray) -> None:
-    """Raise ValueError for codes that are no characters, which nobody could print."""
+    """Raise ValueError if an array of strings contains codes that are not characters."""
     codes = texts.view(np.uint32)
     if ((codes > 0x10FFFF) | ((codes >= 0xD800) & (codes < 0xE000))).any():
         raise ValueError("A text holds what is no character.")

@@ -1,4 +1,7 @@
-"""Files read whole, and files written whole or not at all, whatever stops the program."""
+"""Safe reading and writing of whole files.
+
+A written file appears complete or not at all, also if the program is stopped.
+"""
 
 import contextlib
 import csv
@@ -31,9 +34,10 @@ LONGEST_NAME_BYTES = 240
 
 
 def read_bytes(path: str | os.PathLike[str], most_bytes: int = MOST_BYTES) -> bytes:
-    """The content of a file. Raises InputError where it is missing, unreadable or huge.
+    """Read the content of a file.
 
-    No more than `most_bytes` bytes are read, also of a pipe or a device, which have no size.
+    At most `most_bytes` bytes are read, also from a pipe or a device. Raise `InputError` if the
+    file is missing, unreadable or larger.
     """
     expect_path(path)
     file = Path(path)
@@ -57,16 +61,19 @@ def read_bytes(path: str | os.PathLike[str], most_bytes: int = MOST_BYTES) -> by
 
 
 def _read(stream: BinaryIO, most_bytes: int) -> bytes:
-    """Up to `most` bytes. Python takes memory for all that one call may read."""
-    parts = []
-    while most_bytes > 0 and (part := stream.read(min(most_bytes, _PART_BYTES))):
-        parts.append(part)
-        most_bytes -= len(part)
-    return b"".join(parts)
+    """Read up to `most_bytes` bytes, in parts, because one call reserves all memory at once."""
+    chunks = []
+    while most_bytes > 0 and (chunk := stream.read(min(most_bytes, _PART_BYTES))):
+        chunks.append(chunk)
+        most_bytes -= len(chunk)
+    return b"".join(chunks)
 
 
 def read_text(path: str | os.PathLike[str], most_bytes: int = MOST_BYTES) -> str:
-    """The text of a file, with or without a byte-order mark. Raises InputError for no UTF-8."""
+    """Read a UTF-8 text file, with or without byte-order mark.
+
+    Raise `InputError` if the file is unreadable or not UTF-8.
+    """
     try:
         return read_bytes(path, most_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -77,12 +84,12 @@ def read_text(path: str | os.PathLike[str], most_bytes: int = MOST_BYTES) -> str
 
 @contextlib.contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """A binary file that takes the name `path` when the block ends, and vanishes if it fails.
+    """Context manager for a binary file that appears as `path` only when the block succeeds.
 
-    It is written in the folder of `path`, because a file is renamed in one step only within
-    one file system. Where `path` is a symbolic link, the file that it names is replaced and the
-    link stays. What a killed program left of an earlier attempt is swept. Raises InputError where
-    the folder is missing or cannot be written to, and for what is no plain file, such as a device.
+    The content goes to a scratch file in the same folder, which is renamed at the end of the block.
+    If the block fails, the scratch file is deleted. If `path` is a symbolic link, its target is
+    replaced. Old scratch files of killed programs are deleted. Raise `InputError` if the folder is
+    missing or read-only, or if `path` is a device or a pipe.
     """
     expect_place(path)
     target = _resolve_link(Path(path))
@@ -109,7 +116,11 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 
 def expect_place(*paths: str | os.PathLike[str] | None) -> None:
-    """Before a long job: raise InputError for a file that has no folder, or is a folder."""
+    """Raise `InputError` for a path that cannot be written, before a long computation.
+
+    Reasons are a missing or read-only folder, a path that is a folder or a device, and a long name.
+    Paths that are None are skipped.
+    """
     for path in paths:
         if path is None:
             continue
@@ -137,9 +148,10 @@ def expect_place(*paths: str | os.PathLike[str] | None) -> None:
 
 
 def as_file_name(name: str) -> str:
-    """A name, such as a camera's, as a part of a file's name; other names give other ones.
+    """Convert a name, such as a camera's, to a part of a file name.
 
-    What parts folders, or what some system refuses, becomes %XX, and so do dots at its ends.
+    Path separators, characters that some system refuses, and dots or blanks at both ends become
+    %XX. Different names have different results.
     """
     return re.sub(
         r'[%/\\:*?"<>|]|^[. ]+|[. ]+$',
@@ -149,7 +161,7 @@ def as_file_name(name: str) -> str:
 
 
 def _resolve_link(path: Path) -> Path:
-    """The file that a symbolic link names, be it there or not; any other path itself."""
+    """Return the target of a symbolic link, which may not exist yet; another path is unchanged."""
     if not path.is_symlink():
         return path
     try:
@@ -159,7 +171,7 @@ def _resolve_link(path: Path) -> Path:
 
 
 def _sweep(target: Path) -> None:
-    """Remove scratch files of `target` that nobody has written to for an hour."""
+    """Delete scratch files of `target` that were not written to for an hour."""
     pattern = re.compile(re.escape(f".{target.name}.") + r"[0-9a-f]{8}\.tmp")
     with contextlib.suppress(OSError):
         for name in filter(pattern.fullmatch, os.listdir(target.parent)):
@@ -169,14 +181,17 @@ def _sweep(target: Path) -> None:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a UTF-8 text file as `atomic_write` does."""
+    """Write a UTF-8 text file that appears complete or not at all.
+
+    Raise `InputError` for a text with surrogates (halves of characters), or as `atomic_write` does.
+    """
     expect_whole_characters(text, path)
     with atomic_write(path) as file:
         file.write(text.encode("utf-8"))
 
 
 def expect_whole_characters(text: str, path: str | os.PathLike[str]) -> None:
-    """Raise InputError if a text for the file contains surrogates."""
+    """Raise `InputError` if the text for a file contains surrogates (halves of characters)."""
     if has_half_characters(text):
         raise InputError(
             f"{path} was not written: a name or text in it holds half a character (a surrogate), "
@@ -185,7 +200,7 @@ def expect_whole_characters(text: str, path: str | os.PathLike[str]) -> None:
 
 
 def has_half_characters(text: str) -> bool:
-    """Test a text for surrogates, which no file can hold as UTF-8."""
+    """True if a text contains surrogates (halves of characters), which UTF-8 cannot store."""
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:
@@ -194,9 +209,10 @@ def has_half_characters(text: str) -> bool:
 
 
 def save_table(rows: Sequence[Mapping[str, Any]], path: str | os.PathLike[str]) -> None:
-    """Write rows under the names of all their columns; what a row lacks, and NaN, stays empty.
+    """Write rows of named values as a CSV file with one column for each name.
 
-    The file is whole or not there, so that it may be written again after every row.
+    Missing values, None and numbers that are not finite are left empty. The file appears complete
+    or not at all, so that a program may write it again after each new row.
     """
     # The longest row has them all in order; one that failed has fewer.
     fullest = max(rows, key=len, default={})

@@ -1,5 +1,6 @@
-"""Sheets and boards as JSON. A sheet lists every circle and line in mm, whatever made its grid; a
-board has the fields that its kind names.
+"""Layouts of calibration sheets and boards as JSON.
+
+A sheet lists every circle and line in mm. A board lists the parameters of its kind.
 """
 
 import dataclasses
@@ -27,7 +28,10 @@ _PATTERN_CONVENTIONS = (
 
 
 def load_pattern(path: str | os.PathLike[str]) -> Pattern:
-    """Read a layout. Raises InputError, in one sentence with file and key."""
+    """Read the layout of a sheet of circles from a JSON file.
+
+    Raise `InputError`, which names file and key, for invalid content and for other boards.
+    """
     target = load_target(path)
     if not isinstance(target, Pattern):
         raise InputError(
@@ -38,7 +42,10 @@ def load_pattern(path: str | os.PathLike[str]) -> Pattern:
 
 
 def parse_pattern(document: Block, name: str) -> Pattern:
-    """The sheet whose circles and lines an object holds. Raises InputError."""
+    """Create a Pattern from a JSON object with the keys "circles" and "lines".
+
+    Raise `InputError` for invalid values.
+    """
     circles = document.block("circles")
     circles.expect_keys(("centres_mm", "radius_mm", "lattice"), ("inner_radius_mm",))
     centres_mm = circles.numbers("centres_mm", (None, 2))
@@ -61,7 +68,7 @@ def parse_pattern(document: Block, name: str) -> Pattern:
 
 
 def save_pattern(pattern: Pattern, path: str | os.PathLike[str]) -> None:
-    """Write a layout; `load_pattern` gives the same pattern back."""
+    """Write the layout of a sheet to a JSON file, which `load_pattern` reads."""
     document = {
         "format": PATTERN_FORMAT,
         "version": PATTERN_VERSION,
@@ -73,7 +80,7 @@ def save_pattern(pattern: Pattern, path: str | os.PathLike[str]) -> None:
 
 
 def list_figures(pattern: Pattern) -> dict[str, Any]:
-    """Its circles and lines, as `parse_pattern` reads them."""
+    """Circles and crossed lines of a pattern as the JSON object that `parse_pattern` reads."""
     return {
         "circles": {
             "centres_mm": pattern.centres_mm.tolist(),
@@ -91,7 +98,10 @@ def list_figures(pattern: Pattern) -> dict[str, Any]:
 
 
 def _per_circle(circles: Block, key: str, count: int) -> np.ndarray:
-    """One number for each circle; a single number stands for all, a missing key for 0."""
+    """Value under `key` for each of `count` circles, (count,).
+
+    The JSON value may be one number for all circles. The default is 0.
+    """
     if key not in circles.values:
         return np.zeros(count)
     if isinstance(circles.values[key], list):
@@ -100,7 +110,7 @@ def _per_circle(circles: Block, key: str, count: int) -> np.ndarray:
 
 
 def _lines(document: Block) -> dict:
-    """The fields of the crossed lines; a layout without them has none."""
+    """Keyword arguments of `Pattern` for the crossed lines; zero sizes if there are none."""
     if "lines" not in document.values:
         return {
             "line_width_mm": 0.0,
@@ -132,10 +142,10 @@ _CONVENTIONS = (
 
 
 def load_target(path: str | os.PathLike[str]) -> AbstractTarget:
-    """Read a layout of a sheet of circles, a chessboard, a ChArUco board or an AprilGrid, or of a
-    set of them that are fixed to each other.
+    """Read the layout of a calibration target from a JSON file.
 
-    Raises InputError.
+    A target is a sheet of circles, a chessboard, a ChArUco board, an AprilGrid, or a set of boards
+    that are fixed to each other. Raise `InputError`, which names file and key, for invalid content.
     """
     values = parsed_json(read_text(path), path)
     if isinstance(values, dict) and values.get("format") == FORMAT:
@@ -146,7 +156,7 @@ def load_target(path: str | os.PathLike[str]) -> AbstractTarget:
 
 
 def save_target(target: AbstractTarget, path: str | os.PathLike[str]) -> None:
-    """Write a board, or a set of them; `load_target` gives the same one back."""
+    """Write a board, or a set of boards, to a JSON file, which `load_target` reads."""
     if isinstance(target, Pattern):
         save_pattern(target, path)
         return
@@ -208,7 +218,10 @@ def _board(document: Block, kinds: Sequence[str]) -> AbstractBoard:
 
 
 def _fields(block: Block, board: type[AbstractBoard]) -> dict[str, Any]:
-    """The fields of a board that the file holds, of the types that the class states."""
+    """Constructor arguments of a board class that a JSON object contains.
+
+    Values are converted to the types of the class. Raise `InputError` for a value of another type.
+    """
     types: dict[str, Any] = {field.name: field.type for field in dataclasses.fields(board)}
     values = {}
     for key, field in board.layout.items():

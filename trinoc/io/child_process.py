@@ -1,7 +1,7 @@
-"""Readers of other libraries in a child process, which a damaged file may crash, stall or fill.
+"""Readers of other libraries, run in a child process with limits of time and memory.
 
-A crash of compiled code ends the process that runs it. Such a reader therefore runs in a process of
-its own with limits of time and memory, and its answer comes back as JSON, which holds no code.
+A damaged file may crash compiled code, and a crash ends the process. The result comes back as JSON,
+which contains no code.
 """
 
 import contextlib
@@ -24,25 +24,37 @@ _PROGRAM = (
 
 
 class DamagedError(Exception):
-    """A reader in a child refuses the content, for the reason that it names."""
+    """A reader in a child process rejects the content of a file; the message is the reason."""
 
 
 def read_in_child(
     reader: str, content: bytes, path: str | os.PathLike[str], seconds: float = MOST_SECONDS
 ) -> Any:
-    """Return the JSON value that a reader makes of a file's content, in a child process.
+    """Run a reader of file content in a child process and return its result.
+
+    A crash of the reader then ends only the child process.
 
     Parameters
     ----------
-    reader : "module:function" of a function that takes the content. Its module is imported in the
-        child and should import little.
-    content : of the file, which the caller has read.
-    path : of the file, for messages.
-    seconds : after which the child is ended.
+    reader : str
+        Name "module:function". The function takes the content and returns a JSON value. The child
+        imports the module, which should therefore import little.
+    content : bytes
+        Content of the file.
+    path : path
+        Path of the file, for messages.
+    seconds : float
+        Time limit.
+
+    Returns
+    -------
+    JSON value
+        Result of the reader.
 
     Raises
     ------
-    InputError : where the reader raises an exception, crashes, or exceeds time or memory.
+    InputError
+        If the reader raises an exception, crashes, or exceeds the limits of time or memory.
     """
     command = [sys.executable, "-c", _PROGRAM, json.dumps(sys.path), reader]
     # Each thread of OpenBLAS reserves memory.
@@ -68,7 +80,10 @@ def read_in_child(
 
 
 def answer(reader: str) -> None:
-    """In the child: print the value that `reader` makes of stdin, or the problem, as JSON."""
+    """Run `reader` on the content of stdin and print its result as JSON: {"value": ...}.
+
+    If the reader fails, print {"problem": reason}. Runs in the child process.
+    """
     _limit_memory()
     module, _, function = reader.partition(":")
     try:

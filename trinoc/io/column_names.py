@@ -1,7 +1,7 @@
-"""Columns of tables by the names in their heading: the ends of segments in the picture or in space.
+"""Meaning of column names in tables of 2-D segments and 3-D edges.
 
-Names are compared in lower case, without signs between their parts and without the unit px: X1,
-x_1, "x1 [px]" and x1_px are one name.
+Names are compared in lower case, without punctuation and without the unit px: X1, x_1, "x1 [px]"
+and x1_px are one name.
 """
 
 import itertools
@@ -42,7 +42,7 @@ KNOWN_COLUMNS = (
 
 
 def _known_names() -> dict[str, str]:
-    """The meaning of each plain name, such as "x first" of startx."""
+    """Meaning of each accepted column name, for example "startx" -> "x first"."""
     meanings = {"length": "length", "len": "length", "linelength": "length"}
     for axis, spellings in _AXES.items():
         for word, (end, marks) in itertools.product(spellings, _ENDS.items()):
@@ -70,7 +70,10 @@ _MIDDLE = ("x middle", "y middle")
 
 
 def names_of_line(line: str) -> list[str]:
-    """The names in a line, between commas, semicolons, tabs or else blanks; quotes are removed."""
+    """Column names in a heading line, without quotes.
+
+    The separator is a semicolon, a comma or a tab; without these, blanks.
+    """
     separator = next((sign for sign in ";,\t" if sign in line), None)
     names = [name.strip(" \t\"'") for name in line.split(separator)]
     while names and not names[-1]:
@@ -79,9 +82,10 @@ def names_of_line(line: str) -> list[str]:
 
 
 def names_of_comment(comment: str, count: int) -> list[str] | None:
-    """The names of so many columns in a comment, as np.savetxt writes them; None for other words.
+    """Names of `count` columns in a comment line; None if the comment is another text.
 
-    Two of the names must be coordinates of ends or middles.
+    np.savetxt, for example, writes such comments. At least two of the names must be coordinates of
+    ends or of the middle of a segment.
     """
     tokens = [word for word in re.split(r"[\s,;]+", comment) if word and not word.endswith(":")]
     for names in (tokens, [word for word in tokens if _meaning(word) or _is_left_out(word)]):
@@ -94,12 +98,26 @@ def names_of_comment(comment: str, count: int) -> list[str] | None:
 def ends_of_columns(
     names: Sequence[str], rows: Float[np.ndarray, "n c"], where: str
 ) -> Float[np.ndarray, "n 4"]:
-    """End points x1 y1 x2 y2 of segments, from a table whose columns have names.
+    """Compute end points x1 y1 x2 y2 of segments from a table with named columns.
 
-    where : file and line of the heading, for messages.
+    Parameters
+    ----------
+    names : sequence of str
+        Column names.
+    rows : (n, c)
+        Numbers of the table, one row for each segment.
+    where : str
+        File and line of the heading, for messages.
 
-    Raises InputError if the heading does not determine the ends, or has a column of unknown
-    meaning. The message lists the known names.
+    Returns
+    -------
+    (n, 4)
+        End points x1 y1 x2 y2, px.
+
+    Raises
+    ------
+    InputError
+        If the columns do not determine the ends, or the meaning of a column is unknown.
     """
     columns = _columns_of(names, rows, where)
     if any(key in columns for key in _ENDS_OF_SEGMENT):
@@ -133,9 +151,10 @@ def ends_of_columns(
 def order_in_space(
     names: Sequence[str], rows: Float[np.ndarray, "n c"], where: str
 ) -> Float[np.ndarray, "n c"]:
-    """Columns x1 y1 z1 x2 y2 z2, or x y z, of columns with these names, which may be in any order.
+    """Arrange the columns of a table of 3-D points or edges as x y z, or x1 y1 z1 x2 y2 z2.
 
-    Raises InputError for other names.
+    `names` are the column names, in any order. Raise `InputError` for other names. `where` is file
+    and line of the heading, for messages.
     """
     if len(names) == 3:
         columns = {_plain(name): column for name, column in zip(names, rows.T, strict=True)}
@@ -152,7 +171,10 @@ def order_in_space(
 
 
 def _needed_beside_middle(columns: Mapping[str, np.ndarray], where: str) -> tuple[str, ...]:
-    """The columns that give the ends of a segment beside its middle."""
+    """Names of the columns that, together with the middle, determine the ends of a segment.
+
+    Raise `InputError` if the meaning of dx, dy or the unit of an angle is unclear.
+    """
     alternatives = (
         ("x full", "y full"),
         ("x half", "y half"),
@@ -160,24 +182,27 @@ def _needed_beside_middle(columns: Mapping[str, np.ndarray], where: str) -> tupl
         ("length", "angle deg"),
         ("length", "angle rad"),
     )
-    fitting = [keys for keys in alternatives if all(key in columns for key in keys)]
+    complete = [keys for keys in alternatives if all(key in columns for key in keys)]
     has_middle = all(key in columns for key in _MIDDLE)
-    if not fitting and has_middle and "x vector" in columns:
+    if not complete and has_middle and "x vector" in columns:
         raise InputError(
             f"{where}, does not say whether dx, dy reach from end to end or from the middle to an "
             "end: name them full_dx, full_dy or half_dx, half_dy, or add a column length."
         )
-    if not fitting and has_middle and "angle" in columns:
+    if not complete and has_middle and "angle" in columns:
         raise InputError(
             f"{where}, does not say the unit of the angle: name the column angle_deg or angle_rad."
         )
-    return fitting[0] if fitting else ("length", "angle deg")
+    return complete[0] if complete else ("length", "angle deg")
 
 
 def _half_vector(
     columns: Mapping[str, np.ndarray], needed: Sequence[str]
 ) -> Float[np.ndarray, "n 2"]:
-    """(n, 2) from the middle of each segment to its last end."""
+    """Vector from the middle of each segment to its second end, (n, 2) px.
+
+    `needed` are the column names of `_needed_beside_middle`.
+    """
     if "x full" in needed:
         return np.stack([columns["x full"], columns["y full"]], axis=1) / 2
     if "x half" in needed:
@@ -195,7 +220,11 @@ def _half_vector(
 def _columns_of(
     names: Sequence[str], rows: Float[np.ndarray, "n c"], where: str
 ) -> dict[str, np.ndarray]:
-    """Columns by the meaning of their names; ends 0 and 1, or 1 and 2, are first and last."""
+    """Columns keyed by meaning, such as "x first"; columns of unknown meaning are left out.
+
+    Ends with the numbers 0 and 1, or 1 and 2, are called "first" and "last". Raise `InputError` for
+    two columns of one meaning.
+    """
     if rows.shape[1] != len(names):
         raise InputError(
             f"{where}, names {len(names)} columns, but the rows have {rows.shape[1]} numbers: "

@@ -1,7 +1,7 @@
-"""JAX's compiled kernels kept between runs, so that the second process starts at once.
+"""Cache of JAX's compiled kernels on disk, so that later processes start without compiling.
 
-The command line switches this on, and whoever calls `enable_compile_cache`; to import the package
-alone leaves the JAX settings as they are.
+The command line enables the cache. A program enables it by `enable_compile_cache`; an import of the
+package does not change the settings of JAX.
 """
 
 import contextlib
@@ -26,28 +26,30 @@ MOST_BYTES = 512 * 2**20
 
 
 def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path | None:
-    """Keep compiled kernels in a folder that only this user can write to; returns it.
+    """Store compiled kernels in a folder, so that later processes start without compiling.
 
-    Call it once, before or after anything has compiled: later processes of this user then start
-    without compiling. It sets JAX's persistent cache for the whole process, for other packages
-    too, keeps trinoc's large programs so that they need no tracing either, and holds the folder
-    under 512 MiB.
+    One call is enough, before or after the first compilation. The function sets JAX's persistent
+    cache for the whole process, also for other packages. The folder is kept below 512 MiB.
 
     Parameters
     ----------
-    folder : where to keep them, made with mode 0700 where it is not there. By default that of the
-        environment variable TRINOC_COMPILE_CACHE, which may also be "off", or else the user's own
-        cache folder.
+    folder : path, optional
+        Folder, created with mode 0700 if missing. Default: the environment variable
+        TRINOC_COMPILE_CACHE, which may also be "off"; without it, the user's cache folder.
 
     Returns
     -------
-    The folder, or None where the variable says "off". None too, after a warning in the log, where
-    the folder cannot be made or others could write to it: the kernels in it are executed.
+    Path or None
+        The folder. None if the variable is "off". None also, with a warning in the log, if the
+        folder cannot be created or if other users can write to it: kernels in the folder are
+        executed.
     """
-    wanted = os.environ.get(COMPILE_CACHE_VARIABLE, "") if folder is None else os.fspath(folder)
-    if folder is None and wanted.lower() in ("off", "0", "no"):
+    folder_name = (
+        os.environ.get(COMPILE_CACHE_VARIABLE, "") if folder is None else os.fspath(folder)
+    )
+    if folder is None and folder_name.lower() in ("off", "0", "no"):
         return None
-    folder = Path(wanted) if wanted else _user_cache() / "trinoc" / "jax"
+    folder = Path(folder_name) if folder_name else _user_cache() / "trinoc" / "jax"
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         private = _is_private(folder)
@@ -81,13 +83,15 @@ def enable_compile_cache(folder: str | os.PathLike[str] | None = None) -> Path |
 
 @contextlib.contextmanager
 def compile_cache_for(task: str) -> Iterator[None]:
-    """Context with the compile cache, in which the programs of the last run load in advance.
+    """Context manager that enables the compile cache and loads programs in advance.
+
+    These are the programs that the last run of the same task used.
 
     Parameters
     ----------
     task : str
-        Name under which the programs that this run uses are listed for the next run, such as the
-        name of a command.
+        Name of the task, such as a command. The programs that this run uses are listed under it,
+        for the next run.
     """
     from trinoc.numerics.programs import prefetch_programs, set_program_store
 
@@ -105,9 +109,10 @@ def compile_cache_for(task: str) -> Iterator[None]:
 
 
 def log_compiling(is_kept: bool, seconds: float) -> None:
-    """Log that something compiles, which is `is_kept` or not, after so many seconds of it.
+    """Log a message that a program is being compiled.
 
-    Where nobody has configured logging, as in most scripts and notebooks, the line goes to stderr.
+    `seconds` is the time spent so far in this process. `is_kept` is True if a cache stores the
+    result. Without a logging configuration, as in most scripts, the message goes to stderr.
     """
     if seconds > 0:
         message = f"still compiling: {seconds:.0f} s in this process so far"
@@ -123,8 +128,10 @@ def log_compiling(is_kept: bool, seconds: float) -> None:
     elif LOGGER.level == logging.NOTSET and not LOGGER.hasHandlers():
         handler = logging.StreamHandler()
         handler.setFormatter(logging.Formatter("trinoc: %(message)s"))
-        nowhere = "", 0
-        handler.handle(LOGGER.makeRecord(LOGGER.name, logging.INFO, *nowhere, message, (), None))
+        no_location = "", 0
+        handler.handle(
+            LOGGER.makeRecord(LOGGER.name, logging.INFO, *no_location, message, (), None)
+        )
 
 
 def _user_cache() -> Path:
@@ -143,7 +150,10 @@ def _is_private(folder: Path) -> bool:
 
 
 def _forget_oldest(folder: Path) -> None:
-    """Keep the folder under MOST_BYTES. JAX can, too, but only with a further package."""
+    """Delete the oldest files until the folder is smaller than MOST_BYTES.
+
+    JAX's own limit would need another package.
+    """
     files = []
     with os.scandir(folder) as entries:  # twice as fast as Path.iterdir
         for entry in entries:
@@ -166,7 +176,7 @@ _DIGEST_BYTES = 32
 
 
 class FolderStore:
-    """Programs as files, each with the digest of its content before it."""
+    """Folder of compiled programs: one file for each, with a checksum before the content."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -175,7 +185,11 @@ class FolderStore:
         self._used: dict[Path, None] = {}
 
     def get(self, name: str, modules: frozenset[str] = frozenset()) -> bytes | None:
-        """The content, if it is there and whole."""
+        """Return the stored content of a program; None if it is missing or damaged.
+
+        `modules` are the modules whose sources the program was compiled from. A change of a source
+        makes the program unavailable.
+        """
         try:
             path = self._place(name, modules)
             content = _read_whole(path)
@@ -186,7 +200,10 @@ class FolderStore:
         return content
 
     def put(self, name: str, content: bytes, modules: frozenset[str] = frozenset()) -> None:
-        """Keep it where the disk allows and where the modules have sources."""
+        """Store the content of a program; do nothing if the disk or the sources do not allow it.
+
+        `modules` are the modules whose sources the program was compiled from.
+        """
         with contextlib.suppress(OSError, InputError, LookupError):
             path = self._place(name, modules)
             with atomic_write(path) as file:
@@ -195,7 +212,7 @@ class FolderStore:
             self._used[path] = None
 
     def last_used(self, task: str) -> Iterator[bytes]:
-        """Contents of the programs that the last run of a task used, in the order of use."""
+        """Iterate over the contents of the programs that the last run of a task used, in order."""
         try:
             names = self._list(task).read_text(encoding="utf-8").split()
         except (OSError, ValueError):
@@ -207,7 +224,7 @@ class FolderStore:
                     yield content
 
     def list_used(self, task: str) -> None:
-        """Write the list of the programs that this store has returned or kept in this run."""
+        """Write the list of the programs that this run has read or stored, for `last_used`."""
         if self._used:
             with contextlib.suppress(OSError, InputError), atomic_write(self._list(task)) as file:
                 file.write("\n".join(path.name for path in self._used).encode())
@@ -224,7 +241,7 @@ class FolderStore:
 
 
 def _read_whole(path: Path) -> bytes | None:
-    """Content of a program's file without its digest, or None if the content is damaged."""
+    """Read the file of a program, without its checksum; None if the content is damaged."""
     content = path.read_bytes()
     # The youngest are kept when the folder grows too large.
     os.utime(path)
@@ -233,7 +250,7 @@ def _read_whole(path: Path) -> bytes | None:
 
 
 def surroundings() -> str:
-    """Digest of what every compiled program depends on: versions, processor and settings."""
+    """Digest of the conditions of every compiled program: versions, processor and settings."""
     import jax
 
     digest = hashlib.sha256()
@@ -253,7 +270,7 @@ def surroundings() -> str:
 
 
 def _processor() -> str:
-    """Instruction sets of the processor; a program for other ones may not run here."""
+    """Model and instruction sets of the processor. A program for another one may not run here."""
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
         kinds = ("model name", "flags", "Features", "CPU part")

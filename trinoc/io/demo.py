@@ -1,4 +1,4 @@
-"""The bundled demo pictures and their truth, and the truth files of rendered scenes."""
+"""Bundled demo images with their true edges, and truth files of synthetic scenes."""
 
 import os
 from importlib import resources
@@ -19,14 +19,26 @@ VIEWS = ("upper", "left", "right")
 
 
 def demo_folder() -> Path:
-    """The folder of the demo pictures inside the installed package."""
+    """Folder of the demo images inside the installed package."""
     return Path(str(resources.files("trinoc") / "synth" / "demo"))
 
 
 def demo_paths(kind: str) -> dict[str, Path]:
-    """Files of the demo by view: the pictures of the "sheet" or of the "scene".
+    """Files of the demo images, keyed by view.
 
-    Raises InputError for another kind.
+    Parameters
+    ----------
+    kind : str
+        Choice of images: "sheet" for the calibration sheet, "scene" for the object.
+
+    Returns
+    -------
+    dict of Path
+
+    Raises
+    ------
+    InputError
+        For another kind.
     """
     if kind not in ("sheet", "scene"):
         raise InputError(f'The demo has no pictures of "{kind}": ask for "sheet" or "scene".')
@@ -34,22 +46,35 @@ def demo_paths(kind: str) -> dict[str, Path]:
 
 
 def demo_images(kind: str) -> dict[str, np.ndarray]:
-    """Pictures of the "sheet" or of the "scene" by view, (480, 512) uint8."""
+    """Demo images, keyed by view, (480, 512) uint8.
+
+    Parameters
+    ----------
+    kind : str
+        Choice of images: "sheet" for the calibration sheet, "scene" for the object.
+
+    Returns
+    -------
+    dict of arrays
+    """
     return {view: read_image(path) for view, path in demo_paths(kind).items()}
 
 
 def demo_pattern() -> Pattern:
-    """The layout of the demo's sheet."""
+    """Layout of the sheet in the demo images."""
     return load_pattern(demo_folder() / "pattern.json")
 
 
 def demo_truth() -> SceneTruth:
-    """The edges of the demo's scene, and what each of its pictures shows of them."""
+    """True edges of the demo scene, and the parts of them that each image shows."""
     return load_scene_truth(demo_folder() / "truth.json")
 
 
 def load_scene_truth(path: str | os.PathLike[str]) -> SceneTruth:
-    """The truth of a rendered scene. Raises InputError for what is no such file."""
+    """Read the true edges of a synthetic scene from a truth.json.
+
+    Raise `InputError` for another file.
+    """
     document = read_document(path, FORMAT, VERSION)
     kinds = document.texts("edge_kinds")
     edges = document.numbers("edges_mm", (len(kinds), 2, 3))
@@ -60,7 +85,10 @@ def load_scene_truth(path: str | os.PathLike[str]) -> SceneTruth:
 def save_scene_truth(
     truth: SceneTruth, path: str | os.PathLike[str], about: dict[str, Any]
 ) -> None:
-    """Write a scene's truth; `about` adds keys, such as how the pictures were made."""
+    """Write the true edges of a synthetic scene to a truth.json.
+
+    `about` contains further keys of the file, for example the settings of the renderer.
+    """
     parts_of_view = {
         view: {
             "edge": parts.edge.tolist(),

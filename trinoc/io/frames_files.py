@@ -1,6 +1,4 @@
-"""Files of the matches of many frames: npz, Parquet with a row for each track, and the folder that
-`trinoc batch` fills.
-"""
+"""Files with the matches of many frames: npz, Parquet, and the output folder of `trinoc batch`."""
 
 import importlib.util
 import json
@@ -46,16 +44,17 @@ _BESIDE_TRACKS = {
 
 
 def frames_ending() -> str:
-    """The ending of files of frames: ".parquet" where pyarrow is installed, else ".npz"."""
+    """File ending for `save_frames`: ".parquet" if pyarrow is installed, else ".npz"."""
     return ".parquet" if importlib.util.find_spec("pyarrow") else ".npz"
 
 
 def save_frames(
     results: Sequence[FrameMatches], views: Sequence[str], path: str | os.PathLike[str]
 ) -> None:
-    """Write what became of some frames, whole or not at all, as the ending says.
+    """Write the results of several frames to one npz or Parquet file, by the ending of `path`.
 
-    Equal results give equal bytes. Raises InputError where Parquet is wanted without pyarrow.
+    `views` are the names of the views. The file appears complete or not at all. Equal results give
+    equal files. Raise `InputError` for Parquet without pyarrow.
     """
     frames = frames_of_results(results, views)
     if Path(path).suffix == ".parquet":
@@ -65,7 +64,10 @@ def save_frames(
 
 
 def load_frames(path: str | os.PathLike[str]) -> list[FrameMatches]:
-    """Read a file of `save_frames`. Raises InputError for another file, as `load_matches` does."""
+    """Read the results of the frames from a file of `save_frames`.
+
+    Raise `InputError` for another file, and for values that no matching produces.
+    """
     if Path(path).suffix == ".parquet":
         frames = build_table(Frames, ArrayFields(_read_parquet(Path(path)), path))
     else:
@@ -134,7 +136,10 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
 
 
 def _array_of_list(name: str, values: object, path: Path, views: int) -> np.ndarray:
-    """A JSON list as an array; wrong ones are refused here or by the checks that follow."""
+    """Convert the JSON list under `name` to an array.
+
+    Raise `InputError` if the values have another type. `views` is the number of views.
+    """
     try:
         array = np.array(values, dtype=_BESIDE_TRACKS[name])
     except (ValueError, TypeError, OverflowError) as error:
@@ -174,19 +179,22 @@ def _pyarrow(path: Path):
 
 
 def manifest_lines(results: Sequence[FrameMatches], file: str) -> list[dict[str, Any]]:
-    """The lines of the frames of one file of results; equal results give equal lines."""
+    """Manifest entries of the frames in one result file: name, status, file and row.
+
+    Equal results give equal entries.
+    """
     return [{"frame": r.name, **_fate(r), "file": file, "row": k} for k, r in enumerate(results)]
 
 
 def manifest_text(lines: Iterable[Mapping[str, Any]]) -> str:
-    """Lines as they stand in a file."""
+    """Convert manifest entries to text, one JSON object per line."""
     return "".join(json.dumps(line, ensure_ascii=False) + "\n" for line in lines)
 
 
 def read_lines(manifest: Path) -> dict[str, list[dict[str, Any]]]:
-    """The lines of each file of results, in the order of its rows.
+    """Read a manifest: the entries of each result file, in the order of its rows.
 
-    Lines that are damaged are left out: the files have all that they said.
+    Damaged lines are skipped; the result files contain the same data.
     """
     lines_of_file: dict[str, dict[int, dict[str, Any]]] = {}
     for text in manifest.read_bytes().splitlines():
@@ -219,9 +227,16 @@ def _fate(result: FrameMatches) -> dict[str, Any]:
 
 
 class RecordingMatches(Mapping):
-    """Frame names to matches, None for a frame that failed; one file is in memory at a time.
+    """Mapping from frame name to matches, or to None for a frame that failed.
 
-    failures : (frame name, why) of those that failed, in order.
+    Result files are read on access; only the last one is kept in memory.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder of the result files.
+    failures : dict of str
+        Reason for each failed frame, keyed by frame name.
     """
 
     def __init__(
@@ -250,9 +265,22 @@ class RecordingMatches(Mapping):
 
 
 def load_recording(folder: str | os.PathLike[str]) -> RecordingMatches:
-    """The results of `match_recording`, of all jobs that wrote to the folder.
+    """Open the results of `match_recording` in a folder.
 
-    Frames come in the order of the recording. Raises InputError where there are none.
+    Parameters
+    ----------
+    folder : path
+        Output folder. Several jobs may have written to it.
+
+    Returns
+    -------
+    RecordingMatches
+        Matches of each frame, in the order of the recording.
+
+    Raises
+    ------
+    InputError
+        If the folder contains no results.
     """
     expect_path(folder)
     path = Path(folder)

@@ -1,8 +1,8 @@
-"""The matches of many frames as one table: those of all frames one behind the other.
+"""The matches of many frames as one table.
 
-For each frame there are its name, its status, its number of tracks, its number of segments in each
-view, and what `Matches` says of the whole; for each track the columns of `Matches`. A frame that
-failed has a status that says why, and no tracks.
+Each frame has a name, a status, numbers of tracks and segments, and the scalar fields of `Matches`.
+The tracks of all frames follow each other in the columns of `Matches`. A frame that failed has no
+tracks, and its status is the reason.
 """
 
 import json
@@ -41,17 +41,28 @@ def _are_as_many(columns: Mapping[str, np.ndarray], table: Content) -> bool:
 
 
 class Frames(Table):
-    """Results of the frames of a recording.
+    """Results of the frames of a recording, in one table.
 
-    Fields
-    ------
-    views : names of the views.
-    frame, status : (f,) of each its name, and "ok" or why it has no matches.
-    tracks : (f,) number of tracks. segments : (f, v) number of segments in each view.
-    noise_scale, noise_tail : (f,) of its matches.
-    counts, notes : (f,) of its matches, as JSON.
-    reasons : (s,) of all segments of the frames that are ok, view by view.
-    columns : of all tracks, by the names that `Matches` gives them.
+    Attributes
+    ----------
+    views : tuple of str
+        Names of the views, the order of axis v.
+    frame : (f,)
+        Name of each frame.
+    status : (f,)
+        Either "ok", or the reason why the frame has no matches.
+    tracks : (f,)
+        Number of tracks of each frame.
+    segments : (f, v)
+        Number of segments in each view.
+    noise_scale, noise_tail : (f,)
+        Noise parameters of the matches of each frame, as in `Matches`.
+    counts, notes : (f,)
+        Counts and notes of the matches of each frame, as JSON texts.
+    reasons : (s,)
+        Entry of `Matches.reasons` for each segment, frame by frame and view by view.
+    columns : dict of arrays
+        Columns of `Matches`, keyed by name, with one row for each track of all frames.
     """
 
     KIND: ClassVar[str] = "frames"
@@ -84,13 +95,13 @@ class Frames(Table):
 
 
 def frames_of_results(results: Sequence[FrameMatches], views: Sequence[str]) -> Frames:
-    """The table of the results of some frames."""
+    """Convert the results of several frames to one table. `views` are the names of the views."""
     all_matches = [result.matches for result in results]
-    good = [matches for matches in all_matches if matches is not None]
+    successful = [matches for matches in all_matches if matches is not None]
     none = np.zeros(len(views), dtype=np.int64)
-    arrays = [list_arrays(matches) for matches in good] or [_no_tracks(len(views))]
+    arrays = [list_arrays(matches) for matches in successful] or [_no_tracks(len(views))]
     shared = set.intersection(*(set(each) for each in arrays))
-    marks = {name for matches in good for name in matches.marks} & shared
+    marks = {name for matches in successful for name in matches.marks} & shared
     return Frames(
         views=tuple(views),
         frame=np.array([result.name for result in results], dtype=np.str_),
@@ -112,7 +123,7 @@ def frames_of_results(results: Sequence[FrameMatches], views: Sequence[str]) -> 
             ]
         ),
         reasons=np.concatenate(
-            [np.zeros(0, "<U1"), *(m.reasons[view] for m in good for view in views)]
+            [np.zeros(0, "<U1"), *(m.reasons[view] for m in successful for view in views)]
         ),
         columns={
             name: np.concatenate([each[name] for each in arrays])
@@ -123,22 +134,28 @@ def frames_of_results(results: Sequence[FrameMatches], views: Sequence[str]) -> 
 
 
 def _no_tracks(views: int) -> dict[str, np.ndarray]:
-    """The columns of no tracks, for frames of which none has matches."""
+    """Columns of `Matches` without rows, keyed by name, for frames that have no matches.
+
+    `views` is the number of views.
+    """
     kinds = {"f": np.float64, "i": np.int64, "b": np.bool_, "U": "<U1"}
-    of = {field.name: kinds[field.kind] for field in list_fields(Matches) if field.kind}
+    dtypes = {field.name: kinds[field.kind] for field in list_fields(Matches) if field.kind}
     return {
-        name: np.zeros((0, *sides_of_row(sides, views)), of[name])
+        name: np.zeros((0, *sides_of_row(sides, views)), dtypes[name])
         for name, sides in OF_TRACKS.items()
     }
 
 
 def sides_of_row(sides: Sequence[str], views: int) -> tuple[int, ...]:
-    """Shape of one row of a column, for a number of views."""
+    """Shape of one row of a column. `sides` are numbers as text, or "v" for the number of views."""
     return tuple(views if side == "v" else int(side) for side in sides)
 
 
 def results_of_frames(frames: Frames, file: str | os.PathLike[str]) -> list[FrameMatches]:
-    """The matches of each frame. Raises InputError for what no matching can give."""
+    """Convert a table to the results of its frames.
+
+    Raise `InputError`, which names `file`, for values that no matching produces.
+    """
     ends, of_segments = np.cumsum(frames.tracks), np.cumsum(frames.segments.sum(axis=1))
     results = []
     for k, (name, status) in enumerate(zip(frames.frame, frames.status, strict=True)):

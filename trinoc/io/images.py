@@ -1,6 +1,6 @@
-"""Pictures from files, at the depth that the camera recorded: one, by view, and by shot.
+"""Reading of images at the bit depth of the file: one image, one for each view, or by shot.
 
-Sources of the marks at a file's end: the PNG specification; T.81 for JPEG.
+Sources of the end marks of files: the PNG specification; T.81 for JPEG.
 """
 
 import contextlib
@@ -33,9 +33,9 @@ _TAIL = 4096
 
 
 def is_whole_picture(path: str | os.PathLike[str]) -> bool:
-    """Test that a PNG or JPEG file has its end mark; other files are whole if not empty.
+    """True if a PNG or JPEG file contains its end mark, or another file is not empty.
 
-    Raises OSError.
+    Raise OSError if the file cannot be read.
     """
     with Path(path).open("rb") as file:
         start = file.read(8)
@@ -44,7 +44,10 @@ def is_whole_picture(path: str | os.PathLike[str]) -> bool:
 
 
 def ends_as_it_should(start: bytes, tail: bytes | None = None) -> bool:
-    """The same of the content; `tail` is its last part where `start` is not all of it."""
+    """True if the content of a PNG or JPEG file contains its end mark; True for other formats.
+
+    `start` is the content or its beginning. `tail` is the end of the content if `start` is not all.
+    """
     end = start if tail is None else tail
     if start.startswith(_PNG):
         return _PNG_END in end
@@ -61,9 +64,10 @@ _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 
 
 def is_complete(content: bytes) -> bool:
-    """Test that a PNG holds the chunks and pixels that it announces; True for other formats.
+    """True if the content of a PNG file is long enough for the image size in its header.
 
-    OpenCV takes memory for a chunk by the length that stands before it.
+    True for other formats. The test protects OpenCV, which reserves memory for the lengths that a
+    file states.
     """
     if not content.startswith(b"\x89PNG\r\n\x1a\n"):
         return True
@@ -78,9 +82,9 @@ def is_complete(content: bytes) -> bool:
 
 
 def size_px(content: bytes) -> tuple[int, int] | None:
-    """(width, height) that a picture announces, None for what Pillow knows no picture in.
+    """Image size (width, height) from the header; None if Pillow cannot read the header.
 
-    Raises Image.DecompressionBombError for more than MOST_PIXELS.
+    Raise Image.DecompressionBombError for more than MOST_PIXELS pixels.
     """
     with warnings.catch_warnings():
         # Of half as many: such cameras there are.
@@ -95,7 +99,10 @@ def size_px(content: bytes) -> tuple[int, int] | None:
 
 
 def _count_pictures(content: bytes) -> int:
-    """Pictures of one size: of a stack or a film, without the previews that cameras add."""
+    """Number of images of equal size in a file, such as a stack or an animation.
+
+    Previews, which cameras add, are not counted.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -119,20 +126,38 @@ MOST_BYTES = 7 * MOST_PIXELS
 
 
 def read_image(path: str | os.PathLike[str]) -> np.ndarray:
-    """(h, w) grey levels or (h, w, 3) red, green, blue, in the depth of the file.
+    """Read an image file with its original bit depth and pixel order.
 
-    Pixels stay where the sensor had them, as the calibration of a lens demands: orientation tags
-    of TIFF, JPEG, PNG and WebP are not applied, and one warning for each folder names the first
-    picture that has one. A TIFF whose zero is white is read as it is meant. Transparency is
-    dropped. Raises InputError for what is not a picture, and for one that is drawn in its
-    transparency alone.
+    Parameters
+    ----------
+    path : path
+        Image file, such as PNG, TIFF or JPEG.
+
+    Returns
+    -------
+    (h, w) or (h, w, 3)
+        Grey levels, or red, green and blue, in the number type of the file.
+
+    Raises
+    ------
+    InputError
+        If the file is not a readable image, or if only its transparency has content.
+
+    Notes
+    -----
+    Orientation tags are not applied, because a lens calibration belongs to the pixels of the
+    sensor. One warning in each folder names the first image with such a tag. Grey levels of a TIFF
+    in which zero means white are inverted. Transparency is dropped.
     """
     file = Path(path)
     return _decode(file, _content(file))
 
 
 def read_size_px(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """(width, height) of a picture, which is not decoded. Raises InputError for what is none."""
+    """Read the size (width, height) of an image without decoding its pixels.
+
+    Raise `InputError` if the file is not an image.
+    """
     file = Path(path)
     size = size_px(_content(file))
     if size is None:
@@ -143,7 +168,7 @@ def read_size_px(path: str | os.PathLike[str]) -> tuple[int, int]:
 def read_views(paths: Mapping[str, str | os.PathLike[str]]) -> dict[str, np.ndarray]:
     """Read the image of each view.
 
-    Raises InputError for an unreadable file, and if two views have the same file.
+    Raise `InputError` for an unreadable file, and if two views have equal images.
     """
     images: dict[str, np.ndarray] = {}
     view_of: dict[bytes, str] = {}
@@ -161,9 +186,9 @@ def read_views(paths: Mapping[str, str | os.PathLike[str]]) -> dict[str, np.ndar
 
 
 def write_picture(path: str | os.PathLike[str], image: np.ndarray) -> None:
-    """Write (h, w) grey levels or (h, w, 3) red, green, blue as a PNG, whole or not at all.
+    """Write an image, (h, w) grey levels or (h, w, 3) red, green, blue, to a PNG file.
 
-    Raises InputError where it cannot be written.
+    The file appears complete or not at all. Raise `InputError` if it cannot be written.
     """
     ordered = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     _, content = cv2.imencode(".png", ordered)
@@ -173,7 +198,7 @@ def write_picture(path: str | os.PathLike[str], image: np.ndarray) -> None:
 
 @contextlib.contextmanager
 def silent_opencv() -> Iterator[None]:
-    """A block in which OpenCV writes nothing on stderr about broken files: a sentence says more."""
+    """Context manager in which OpenCV prints nothing to stderr about damaged files."""
     if hasattr(cv2.utils, "logging"):
         get_level, set_level = cv2.utils.logging.getLogLevel, cv2.utils.logging.setLogLevel
     else:  # before OpenCV 4.13
@@ -188,7 +213,7 @@ def silent_opencv() -> Iterator[None]:
 
 
 def picture_digest(image: np.ndarray) -> bytes:
-    """The same for equal pictures alone."""
+    """SHA-256 digest of an image; equal for images with equal pixels, shape and type."""
     pixels = hashlib.sha256(repr((image.shape, image.dtype)).encode())
     pixels.update(np.ascontiguousarray(image).data)
     return pixels.digest()
@@ -196,10 +221,12 @@ def picture_digest(image: np.ndarray) -> bytes:
 
 def _content(file: Path) -> bytes:
     if os.path.isdir(file):  # False for names that are too long
-        inside = sorted(p.name for p in file.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES)
-        if not inside:
+        image_names = sorted(p.name for p in file.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES)
+        if not image_names:
             raise InputError(f"{file} is a folder without pictures: give a picture file.")
-        raise InputError(f"{file} is a folder: give one picture in it, such as {file / inside[0]}.")
+        raise InputError(
+            f"{file} is a folder: give one picture in it, such as {file / image_names[0]}."
+        )
     content = read_bytes(file, MOST_BYTES)
     if not content:
         raise InputError(f"{file} is empty: copy the picture again from where it came.")
@@ -213,7 +240,10 @@ def _unreadable(file: Path) -> InputError:
 
 
 def refuse_videos(files: Iterable[Path]) -> None:
-    """Raise InputError, which says how its frames become pictures, for the first video of files."""
+    """Raise `InputError` for the first video among `files`.
+
+    The message explains how to convert the video to images.
+    """
     for file in files:
         if file.suffix.lower() in VIDEO_SUFFIXES:
             raise InputError(
@@ -267,7 +297,10 @@ def _decode(file: Path, content: bytes) -> np.ndarray:
 
 
 def expect_inside(name: str, segments: Segments, rig: Rig, file: str | os.PathLike[str]) -> None:
-    """Raise InputError for segments more than a picture's width beyond the picture."""
+    """Raise `InputError` for a segment that is farther outside the image than one image size.
+
+    `name` is the view, and `file` is named in the message.
+    """
     size = np.array(rig[name].image_size_px)
     ends = np.asarray(segments.endpoints_px)
     outside = np.flatnonzero(((ends < -size) | (ends > 2 * size)).any(axis=(1, 2)))
@@ -279,7 +312,7 @@ def expect_inside(name: str, segments: Segments, rig: Rig, file: str | os.PathLi
 
 
 def expect_size(name: str, image: np.ndarray, rig: Rig) -> None:
-    """Raise InputError where a picture has not the size that the rig was calibrated for."""
+    """Raise `InputError` if the size of an image differs from that of camera `name` in the rig."""
     size = (image.shape[1], image.shape[0])
     if size != rig[name].image_size_px:
         raise InputError(
@@ -293,12 +326,26 @@ Shots = dict[str, dict[str, Callable[[], np.ndarray]]]
 
 
 def load_shots(paths: Mapping[str, str | os.PathLike[str]]) -> Shots:
-    """For each camera by name, functions that read its pictures, by the name of the shot.
+    """List the images of each camera, sorted by shot, without reading them.
 
-    A path is a folder of pictures or a pattern such as "shots/left*.png". Pictures are of one shot
-    where their names agree, apart from what all names of a camera begin and end with: left_07.png
-    and right_07.png are of the shot "07". Nothing is read yet. Raises InputError for a path
-    without pictures, and for two cameras with one path.
+    Images of several cameras belong to one shot if their file names agree. The beginning and the
+    end that all names of one camera have in common are ignored: left_07.png and right_07.png belong
+    to the shot "07".
+
+    Parameters
+    ----------
+    paths : dict of path
+        For each camera: a folder of images, or a pattern such as "shots/left*.png".
+
+    Returns
+    -------
+    dict of dict of callables
+        For each camera and each shot name: a function without arguments that reads the image.
+
+    Raises
+    ------
+    InputError
+        If a path has no image, or two cameras have the same image.
     """
     files = {camera: _files(camera, os.fspath(path)) for camera, path in paths.items()}
     owner: dict[Path, str] = {}
@@ -344,8 +391,11 @@ def _files(camera: str, path: str) -> list[Path]:
 
 
 def name_shots(stems: Mapping[str, list[str]]) -> Mapping[str, list[str]]:
-    """Names of the shots of each camera's files, by their stems: the stems themselves where cameras
-    share some, else what differs in them."""
+    """Shot names of the files of each camera; `stems` are the file names without ending.
+
+    If a stem occurs for all cameras, the stems are the shot names. Otherwise the parts that all
+    stems of one camera share are removed.
+    """
     stem_sets = [set(camera_stems) for camera_stems in stems.values()]
     if len(stems) == 1 or set.intersection(*stem_sets):
         return stems
@@ -353,9 +403,9 @@ def name_shots(stems: Mapping[str, list[str]]) -> Mapping[str, list[str]]:
 
 
 def _without_common(stems: list[str]) -> list[str]:
-    """The texts without the beginning and the end that all of them share.
+    """Texts without their common beginning and their common end.
 
-    Digits are kept whole: of 09 and 10, as of 10 and 11, both digits are left.
+    A number is not cut: 10 and 11 keep both digits.
     """
     if len(stems) == 1:
         return ["".join(letter for letter in stems[0] if letter.isdigit()) or stems[0]]
@@ -366,11 +416,11 @@ def _without_common(stems: list[str]) -> list[str]:
     end = _common_length([stem[::-1] for stem in endings])
     while end and endings[0][-end].isdigit():
         end -= 1
-    cut = [stem[: len(stem) - end] for stem in endings]
-    return cut if all(cut) else endings
+    differences = [stem[: len(stem) - end] for stem in endings]
+    return differences if all(differences) else endings
 
 
 def _common_length(texts: list[str]) -> int:
-    """Number of letters that all texts begin with."""
+    """Length of the longest common beginning of several texts."""
     columns = zip(*texts, strict=False)
     return sum(1 for _ in itertools.takewhile(lambda column: len(set(column)) == 1, columns))

@@ -1,5 +1,6 @@
-"""Lenses as JSON: the "intrinsics" block of rig.json, and camera.json around one such block; which
-lenses and cameras can be true.
+"""Lenses as JSON: camera.json and the object "intrinsics" of rig.json.
+
+Also checks that lenses and cameras are physically possible.
 """
 
 import os
@@ -34,9 +35,9 @@ _SAME_RADIUS = 0.05
 
 
 def fold_notes(value: Rig | Intrinsics | Mapping[str, Intrinsics]) -> tuple[str, ...]:
-    """A sentence on each lens that folds the image in its corners, and is usable before the fold.
+    """Return a sentence for each lens whose distortion folds the image but leaves it usable.
 
-    value : a lens, or lenses by the name of their camera.
+    `value` is a lens, a rig, or lenses keyed by camera name.
     """
     if isinstance(value, Intrinsics):
         lenses = {"The distortion of the lens": value}
@@ -47,16 +48,15 @@ def fold_notes(value: Rig | Intrinsics | Mapping[str, Intrinsics]) -> tuple[str,
             else value
         )
         lenses = {f'The distortion of "{name}"': lens for name, lens in by_camera.items()}
-    folds = {which: describe_usable_fold(lens) for which, lens in lenses.items()}
-    return tuple(f"{which} {fold}." for which, fold in folds.items() if fold is not None)
+    folds = {label: describe_usable_fold(lens) for label, lens in lenses.items()}
+    return tuple(f"{label} {fold}." for label, fold in folds.items() if fold is not None)
 
 
 def expect_lens(lens: Intrinsics, where: str) -> Intrinsics:
-    """The lens itself; `where` begins the sentence of the InputError for one that cannot be.
+    """Return the lens, or raise `InputError` if no real lens has such parameters.
 
-    Refused are pixels and focal lengths of impossible size, and a distortion whose fold leaves too
-    little of the picture: beyond the fold two rays meet one pixel, and none meets the pixels
-    farther out.
+    Reasons are a pixel pitch, focal length or principal point of impossible size, or a distortion
+    whose fold leaves too little of the image. `where` begins the message.
     """
     expect_pitch(lens.pixel_pitch_mm, f"{where} has pixels of")
     focal_px, side_px = np.asarray(lens.focal_length_px), max(lens.image_size_px)
@@ -79,7 +79,10 @@ def expect_lens(lens: Intrinsics, where: str) -> Intrinsics:
 
 
 def expect_pitch(pitch_mm: tuple[float, float] | None, where: str) -> None:
-    """Raise InputError for a pixel pitch in another unit than mm."""
+    """Raise `InputError` for a pixel pitch of impossible size, for example in micrometres.
+
+    `where` begins the message.
+    """
     if pitch_mm is None or all(PITCH_RANGE_MM[0] <= side <= PITCH_RANGE_MM[1] for side in pitch_mm):
         return
     problem = f"{where} {pitch_mm[0]:g} {pitch_mm[1]:g} mm"
@@ -93,10 +96,9 @@ def expect_pitch(pitch_mm: tuple[float, float] | None, where: str) -> None:
 
 
 def expect_readable(value: Rig | Intrinsics, where: str) -> None:
-    """Raise InputError for lenses and cameras that a reader of the file would refuse.
+    """Raise `InputError` for lenses, cameras or a covariance that a reader would refuse.
 
-    Readers and writers share this check, so that a file that is written can be read. `where` begins
-    the sentence.
+    Writers call this check, so that each file can be read again. `where` begins the message.
     """
     if isinstance(value, Intrinsics):
         expect_lens(value, f"{where}: the lens")
@@ -114,9 +116,21 @@ def expect_readable(value: Rig | Intrinsics, where: str) -> None:
 def find_covariance_fault(
     parameters: Sequence[str], matrix: Float[np.ndarray, "p p"], cameras: Collection[str]
 ) -> tuple[str, str] | None:
-    """The first fault of a rig's covariance as (key of its block, problem); None where it has none.
+    """Return the first fault of a rig's covariance, or None if it is valid.
 
-    parameters : names of its rows. cameras : names of the cameras of the rig.
+    Parameters
+    ----------
+    parameters : sequence of str
+        Names of the rows of `matrix`.
+    matrix : (p, p)
+        Covariance.
+    cameras : collection of str
+        Names of the cameras of the rig.
+
+    Returns
+    -------
+    (str, str) or None
+        Key in the file, "parameters" or "matrix", and the end of the error message.
     """
     for parameter in parameters:
         camera, _, name = parameter.rpartition(".")
@@ -142,7 +156,10 @@ def find_covariance_fault(
 
 
 def expect_apart(cameras: Mapping[str, Camera], where: str) -> None:
-    """Raise InputError where two cameras stand at one place: nothing between them has a depth."""
+    """Raise `InputError` if two cameras have the same centre, so that depth is unknown.
+
+    `where` begins the message.
+    """
     pair = find_equal_centres(cameras)
     if pair is not None:
         raise InputError(
@@ -169,19 +186,20 @@ FORMAT, VERSION = "trinoc-camera", 1
 
 
 def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
-    """Read a camera.json. Raises InputError, in one sentence with file and key."""
+    """Read the lens of a camera.json.
+
+    Raise `InputError`, which names file and key, for invalid content.
+    """
     document = read_document(path, FORMAT, VERSION)
     _expect_keys(document)
     return intrinsics_from_block(document.block("intrinsics"), document.image_size_px())
 
 
 def load_lens_covariance(path: str | os.PathLike[str]) -> np.ndarray | None:
-    """Read the covariance of a lens from its camera.json; None where the file states none.
+    """Read the covariance (q, q) of the lens parameters from a camera.json; None if it has none.
 
-    The matrix is (q, q), over the q parameters of the lens's model: fx, fy, cx, cy and its
-    coefficients. For an ideal lens, which has none, they are those of Brown and Conrady's.
-
-    Raises InputError, in one sentence with file and key.
+    Rows are the `parameter_names` of the lens model: fx, fy, cx, cy and the coefficients. For a
+    lens without distortion they are those of Brown-Conrady. Raise `InputError` for invalid content.
     """
     document = read_document(path, FORMAT, VERSION)
     _expect_keys(document)
@@ -209,11 +227,24 @@ def save_intrinsics(
     covariance: np.ndarray | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a camera.json; `provenance` says how the lens came to be known.
+    """Write a lens to a camera.json.
 
-    `covariance` (q, q) is of the parameters of the lens (of Brown-Conrady for an ideal one), zero
-    for those that were held. Raises InputError for a lens and a covariance that a reader would
-    refuse.
+    Parameters
+    ----------
+    intrinsics : Intrinsics
+        The lens.
+    path : path
+        File to write.
+    covariance : (q, q), optional
+        Covariance of the lens parameters; zero for parameters that were fixed. For a lens without
+        distortion the parameters are those of Brown-Conrady.
+    provenance : mapping, optional
+        Source of the lens, such as the command and its inputs.
+
+    Raises
+    ------
+    InputError
+        If a reader would refuse the lens or the covariance.
     """
     expect_readable(intrinsics, f"{path} was not written")
     if covariance is not None and not is_covariance(np.asarray(covariance)[None]).all():
@@ -247,12 +278,12 @@ def _expect_keys(document: Block) -> None:
 
 
 def intrinsics_to_block(intrinsics: Intrinsics) -> dict[str, Any]:
-    """The "intrinsics" object of a file.
+    """Convert a lens to the JSON object "intrinsics".
 
-    A lens known in millimetres has "focal_length_mm" and "pixel_pitch_mm". One known in
-    pixels only has "focal_length_px", along u and along v, instead; so has one whose two
-    focal lengths in pixels no longer are one in millimetres. "skew_px" is there unless 0, and
-    "valid_radius_px" where the distortion folds inside the picture.
+    If the pixel pitch is known, the object has "focal_length_mm" and "pixel_pitch_mm". It has
+    "focal_length_px" if the pitch is unknown, or if the focal lengths along u and v do not give one
+    length in mm. "skew_px" is left out if it is 0. "valid_radius_px" exists only if the distortion
+    folds inside the image.
     """
     focal_px = np.asarray(intrinsics.focal_length_px, dtype=np.float64)
     block: dict[str, Any] = {}
@@ -280,7 +311,7 @@ def intrinsics_to_block(intrinsics: Intrinsics) -> dict[str, Any]:
 
 
 def intrinsics_from_block(block: Block, image_size_px: tuple[int, int]) -> Intrinsics:
-    """The lens of an "intrinsics" object. Raises InputError."""
+    """Convert the JSON object "intrinsics" to a lens. Raise `InputError` for invalid values."""
     block.expect_keys(
         (),
         (
@@ -319,7 +350,7 @@ def intrinsics_from_block(block: Block, image_size_px: tuple[int, int]) -> Intri
 
 
 def _expect_radius(block: Block, lens: Intrinsics) -> None:
-    """Raise InputError for a radius that is not that of the distortion."""
+    """Raise `InputError` if "valid_radius_px" differs from the valid radius of the distortion."""
     radius_px = lens.valid_radius_px
     if not abs(block.number("valid_radius_px") - radius_px) <= _SAME_RADIUS * radius_px < np.inf:
         raise block.error(

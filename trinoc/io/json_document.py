@@ -1,4 +1,4 @@
-"""JSON files that people edit, strictly read: every mistake is named by file, place and remedy."""
+"""Strict reading of JSON files that users edit: each error names file, key and remedy."""
 
 import dataclasses
 import difflib
@@ -28,10 +28,10 @@ _QUOTED = re.compile(r'"(?:[^"\\]|\\.)*"?', re.DOTALL)
 
 
 def parsed_json(text: str, file: str | os.PathLike[str]) -> Any:
-    """The value of a JSON text; `file` is named in errors.
+    """Parse a JSON text strictly and return its value.
 
-    Raises InputError for what is not JSON, NaN and infinities, keys given twice, numbers that are
-    too long, texts that no file can hold, and nesting that is too deep.
+    Raise `InputError`, which names `file`, for invalid JSON. NaN, infinities, repeated keys, very
+    long numbers, invalid characters and very deep nesting are also refused.
     """
     if not text.strip():
         raise InputError(f"{file} is empty: give another file.")
@@ -58,7 +58,10 @@ def parsed_json(text: str, file: str | os.PathLike[str]) -> Any:
 
 
 def _remedy_for_cameras(text: str, file: str | os.PathLike[str]) -> str:
-    """Remedy for a file that is no JSON: for another tool's cameras, the command."""
+    """Return the remedy for a file that is not JSON.
+
+    If the file looks like another tool's cameras, this is the export command.
+    """
     name = next((name for name, mark in _CAMERA_WORDS.items() if mark in text), None)
     if name is None:
         return "give the .json file"
@@ -69,7 +72,7 @@ def _remedy_for_cameras(text: str, file: str | os.PathLike[str]) -> str:
 
 
 class _NotStrictError(Exception):
-    """A text that Python would read although JSON does not allow it."""
+    """A text is not valid JSON, but Python's parser accepts it."""
 
 
 def _check_depth(text: str, file: str | os.PathLike[str]) -> None:
@@ -104,19 +107,29 @@ LARGEST = 1e60
 
 @dataclasses.dataclass(frozen=True)
 class Block:
-    """A JSON object, the file it came from, and its place in there ("cameras.upper")."""
+    """A JSON object with checked access to its values.
+
+    Attributes
+    ----------
+    values : dict
+        The object.
+    file : str
+        File that contains the object, for messages.
+    place : str
+        Key path of the object in the file, such as "cameras.upper"; empty for the whole file.
+    """
 
     values: dict[str, Any]
     file: str
     place: str
 
     def error(self, key: str, problem: str) -> InputError:
-        """An error that names the file and the key; `problem` completes the sentence."""
+        """Return an `InputError` that names file and key; `problem` completes the sentence."""
         key_path = json.dumps(self._path(key), ensure_ascii=False)
         return InputError(f"{self.file}: {key_path} {problem}")
 
     def expect_keys(self, required: Collection[str], optional: Collection[str] = ()) -> None:
-        """Raise InputError for a key that is missing or that nobody would read."""
+        """Raise `InputError` for a missing required key, or a key in neither list."""
         keys = [*required, *optional]
         for key in self.values:
             if key not in keys:
@@ -130,37 +143,40 @@ class Block:
                 raise self.error(key, "is missing: add it.")
 
     def block(self, key: str) -> "Block":
-        """The object under a key."""
+        """Return the object under a key. Raise `InputError` for other values."""
         value = self.values.get(key)
         if not isinstance(value, dict):
             raise self.error(key, f"must be an object in braces, but is {show_value(value)}.")
         return Block(value, self.file, self._path(key))
 
     def blocks(self) -> "Iterator[tuple[str, Block]]":
-        """(key, object) of every key, where all values are objects."""
+        """Iterate over (key, object). Raise `InputError` if a value is not an object."""
         for key in self.values:
             yield key, self.block(key)
 
     def text(self, key: str) -> str:
-        """The string under a key."""
+        """Return the string under a key. Raise `InputError` for other values."""
         value = self.values.get(key)
         if not isinstance(value, str):
             raise self.error(key, f"must be a text in quotes, but is {show_value(value)}.")
         return value
 
     def texts(self, key: str) -> tuple[str, ...]:
-        """The list of strings under a key."""
+        """Return the strings of the list under a key. Raise `InputError` for other values."""
         value = self.values.get(key)
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
             raise self.error(key, f"must be a list of texts in quotes, but is {show_value(value)}.")
         return tuple(value)
 
     def number(self, key: str) -> float:
-        """The finite number under a key."""
+        """Return the finite number under a key. Raise `InputError` for other values."""
         return float(self.numbers(key, ()))
 
     def numbers(self, key: str, shape: tuple[int | None, ...]) -> np.ndarray:
-        """The finite numbers under a key, as float64; None in `shape` is any length."""
+        """Return the finite numbers under a key as a float64 array of the given shape.
+
+        None in `shape` accepts any length. Raise `InputError` for other values.
+        """
         value = self.values.get(key)
         if not _only_numbers(value):
             raise self.error(key, f"must be {_describe_shape(shape)}, but is {show_value(value)}.")
@@ -184,7 +200,10 @@ class Block:
         return array
 
     def image_size_px(self, key: str = "image_size_px") -> tuple[int, int]:
-        """(width, height) under a key, in whole positive pixels."""
+        """Return the image size (width, height) under a key.
+
+        Raise `InputError` if the value is not two positive whole numbers.
+        """
         size = self.numbers(key, (2,))
         if not ((size >= 1).all() and (size == np.round(size)).all()):
             raise self.error(key, "must be [width, height] in whole positive pixels.")
@@ -195,9 +214,9 @@ class Block:
 
 
 def read_document(path: str | os.PathLike[str], format_name: str, version: int) -> Block:
-    """The whole object of a file `{"format": format_name, "version": version, ...}`.
+    """Read a JSON file that begins {"format": format_name, "version": version, ...}.
 
-    Raises InputError for a file that is missing, is not JSON, or has another format or version.
+    Raise `InputError` if the file is missing, is not JSON, or has another format or version.
     """
     expect_path(path)
     file = Path(path)
@@ -219,7 +238,7 @@ def read_document(path: str | os.PathLike[str], format_name: str, version: int) 
 def write_document(path: str | os.PathLike[str], values: dict[str, Any]) -> None:
     """Write an object as indented JSON with short lists on one line.
 
-    Raises InputError, before anything is written, for what `parsed_json` would refuse.
+    Raise `InputError`, before anything is written, for values that `parsed_json` would refuse.
     """
     try:
         text = document_text(values)
@@ -230,7 +249,7 @@ def write_document(path: str | os.PathLike[str], values: dict[str, Any]) -> None
 
 
 def document_text(values: dict[str, Any]) -> str:
-    """The text that `write_document` writes."""
+    """Return the JSON text that `write_document` writes."""
     return _dump(values, "") + "\n"
 
 
@@ -261,7 +280,7 @@ def _describe_shape(shape: tuple[int | None, ...]) -> str:
 
 
 def show_value(value: Any) -> str:
-    """A value as JSON, cut at 60 letters."""
+    """Return a value as JSON for a message, cut at 60 characters; "missing" for None."""
     text = "missing" if value is None else json.dumps(value)
     return text if len(text) <= 60 else text[:57] + "..."
 

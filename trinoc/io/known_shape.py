@@ -1,4 +1,4 @@
-"""Known shapes from files: lists of edges, polylines, OBJ models, the truth of made scenes."""
+"""Known shapes from files: lists of edges, polylines, OBJ models, truth of synthetic scenes."""
 
 import os
 from pathlib import Path
@@ -30,19 +30,40 @@ def load_shape(
 ) -> KnownShape:
     """Read the edges of a known shape.
 
-    - .obj: edges between faces that meet at more than `crease_deg`, edges of one face alone, and
-      polylines (`l`). The faces hide what is behind them.
-    - .json: a list of edges, or an object with the list under "edges_mm" or "edges", each edge
-      [[x, y, z], [x, y, z]] or six numbers; or the truth.json of a made scene, of which those
-      straight edges are wanted that two pictures show by `grey_step` grey levels.
-    - any other text: rows of six numbers (separated by commas or blanks) are edges, rows of three
-      are points of a polyline, with a blank line between polylines, such as the edges of a STEP
-      model sampled by a CAD program. Lines that start with # are skipped. A first line may name the
-      columns x1 y1 z1 x2 y2 z2, or x y z, in any order.
+    Parameters
+    ----------
+    path : path
+        File in one of the formats below.
+    unit_mm : float
+        Length in mm of one unit of the file.
+    crease_deg : float
+        Smallest angle between two faces of an OBJ model whose common side is an edge.
+    grey_step : float
+        Smallest difference of grey levels across a visible edge of a synthetic scene.
 
-    Numbers times `unit_mm` are millimetres. Polylines and the edges of an OBJ run on where they
-    run straight on, so that an edge in pieces is one edge. Raises InputError, with the number of
-    the line, for what cannot be read.
+    Returns
+    -------
+    KnownShape
+        Edges in mm. Straight pieces that continue each other, of a polyline or of an OBJ model, are
+        one edge.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read. The message names the line.
+
+    Notes
+    -----
+    - .obj: edges are the sides of faces that meet at more than `crease_deg`, the sides of only one
+      face, and polylines (`l`). Faces hide the edges behind them.
+    - .json: a list of edges, or an object with this list under "edges_mm" or "edges". An edge is
+      [[x, y, z], [x, y, z]] or six numbers.
+    - truth.json of a synthetic scene: the straight edges that are visible in two images should be
+      detected.
+    - Other text: a row of six numbers is an edge; a row of three numbers is a point of a polyline,
+      and a blank line separates polylines. Commas or blanks separate numbers. Lines that begin
+      with `#` are skipped. A first line may name the columns, in any order: x1 y1 z1 x2 y2 z2, or
+      x y z.
     """
     file = Path(path)
     if not (np.isfinite(unit_mm) and unit_mm > 0):
@@ -72,7 +93,7 @@ def _check_shape(shape: KnownShape, file: Path) -> KnownShape:
 
 
 def _of_rows(text: str, file: str) -> Float[np.ndarray, "m 2 3"]:
-    """Edges of rows of six numbers, or of polylines of rows of three."""
+    """Edges (m, 2, 3) in a text: rows of six numbers, or polylines of rows of three numbers."""
     edges: list[list[float]] = []
     polylines: list[list[list[float]]] = [[]]
     width = 0
@@ -139,7 +160,7 @@ def _of_json(file: Path, unit_mm: float, grey_step: float) -> KnownShape:
 
 
 def _edge(file: Path, number: int, entry: Any) -> Float[np.ndarray, "2 3"]:
-    """One edge of a JSON list."""
+    """Convert an entry of a JSON list to the two ends of an edge; `number` is its index."""
     try:
         edge = np.array(entry, dtype=np.float64).reshape(2, 3)
     except (TypeError, ValueError, OverflowError):

@@ -1,4 +1,4 @@
-"""Digest of the sources that a program is made from: modules, and all that these import."""
+"""Digest of the source files of modules and of all modules that they import."""
 
 import functools
 import hashlib
@@ -22,19 +22,19 @@ _STARTED_S = time.time()
 
 @functools.cache
 def digest_sources(modules: frozenset[str]) -> str:
-    """Digest of the sources of modules and of all that they import within trinoc or within the
-    top-level package of their own.
+    """Digest of the source files of `modules` and of all modules that they import.
 
-    Raises LookupError for a module without a source file, such as that of a prompt, or whose file
-    has changed since this process started.
+    Imports are followed within trinoc and within the top-level package of each module. Raise
+    LookupError for a module without a source file, as at a prompt, or if a file has changed since
+    this process started.
     """
-    reached: set[str] = set()
-    waiting = set(modules)
-    while waiting:
-        module = waiting.pop()
-        reached.add(module)
-        waiting |= _imports(module) - reached
-    digests = sorted((module, _digest(module)) for module in reached)
+    visited: set[str] = set()
+    pending = set(modules)
+    while pending:
+        module = pending.pop()
+        visited.add(module)
+        pending |= _imports(module) - visited
+    digests = sorted((module, _digest(module)) for module in visited)
     return hashlib.sha256(repr(digests).encode()).hexdigest()
 
 
@@ -55,7 +55,7 @@ def _digest(module: str) -> str:
 
 @functools.cache
 def _imports(module: str) -> frozenset[str]:
-    """The modules of trinoc, and of the module's own package, that its source names."""
+    """Modules that the source of `module` imports, from trinoc or its own top-level package."""
     packages = {_PACKAGE, module.partition(".")[0]}
     names = _imported_names(_text(module), packages)
     return frozenset(name for name in names if _source_file(name) is not None)
@@ -73,7 +73,7 @@ def _imported_names(text: str, packages: set[str]) -> Iterator[str]:
 
 @functools.cache
 def _source_file(module: str) -> Path | None:
-    """The file of a module, imported or not; its packages are not imported to find it."""
+    """Source file of a module, without importing it or its packages; None if it has none."""
     root, *parts = module.split(".")
     file = getattr(sys.modules.get(module), "__file__", None)
     if file is not None:

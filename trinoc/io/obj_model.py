@@ -1,4 +1,4 @@
-"""The edges and faces of a Wavefront OBJ model. Edges that continue each other are one."""
+"""Edges and faces of a Wavefront OBJ model. Edges that continue each other become one edge."""
 
 from collections import defaultdict
 from typing import NamedTuple
@@ -17,8 +17,11 @@ STRAIGHT = 1e-4
 def straight_runs(
     points: Float[np.ndarray, "n 3"], *, tolerance: float = STRAIGHT
 ) -> Float[np.ndarray, "k 2 3"]:
-    """Edges along a polyline, each as long as its points lie straight on; a closed polyline
-    repeats its first point. Points given twice in a row count once."""
+    """Split a polyline into its longest straight pieces, (k, 2, 3) ends.
+
+    A closed polyline repeats its first point at the end. `tolerance` is the largest distance of a
+    point from its piece, as a share of the length of the piece.
+    """
     is_new = np.append(True, np.any(points[1:] != points[:-1], axis=1))
     points = points[is_new]
     edges, start = [], 0
@@ -37,7 +40,7 @@ def straight_runs(
 
 
 def _is_straight(points: Float[np.ndarray, "n 3"], tolerance: float) -> bool:
-    """Test that the inner points lie in order on the line from the first to the last."""
+    """True if the inner points lie, in order, on the line from the first to the last point."""
     chord = points[-1] - points[0]
     length = np.linalg.norm(chord)
     if length == 0:
@@ -56,17 +59,41 @@ Link = tuple[int, int]
 
 
 class ObjModel(NamedTuple):
-    """In the unit of the file: edges (m, 2, 3), and faces in triangles (f, 3, 3)."""
+    """Edges and faces of an OBJ model, in the unit of the file.
+
+    Attributes
+    ----------
+    edges : (m, 2, 3)
+        Ends of each edge.
+    triangles : (f, 3, 3)
+        Corners of the triangles that the faces consist of.
+    """
 
     edges: Float[np.ndarray, "m 2 3"]
     triangles: Float[np.ndarray, "f 3 3"]
 
 
 def edges_of_obj(text: str, file: str, *, crease_deg: float = CREASE_DEG) -> ObjModel:
-    """Creases, borders and polylines of an OBJ text, and its faces.
+    """Edges and faces of an OBJ text.
 
-    A crease is where two faces meet whose planes turn by more than `crease_deg`; where only one
-    face, or more than two, have an edge, it is kept. Raises InputError with the line's number.
+    Parameters
+    ----------
+    text : str
+        Content of the file.
+    file : str
+        Name of the file, for messages.
+    crease_deg : float
+        Smallest angle between two faces whose common side is an edge.
+
+    Returns
+    -------
+    ObjModel
+        The edges also include sides of one face or of more than two faces, and polylines.
+
+    Raises
+    ------
+    InputError
+        For an invalid line. The message names the line.
     """
     vertices: list[list[float]] = []
     faces: list[list[int]] = []
@@ -100,24 +127,27 @@ def edges_of_obj(text: str, file: str, *, crease_deg: float = CREASE_DEG) -> Obj
 
 
 def _each_once(edges: Float[np.ndarray, "m 2 3"]) -> Float[np.ndarray, "e 2 3"]:
-    """A polyline may run along an edge of faces, as in wire frames."""
+    """Remove repeated edges, for example of a polyline along the side of a face."""
     ordered = np.array([sorted(edge) for edge in edges.tolist()]).reshape(-1, 6)
     _, first = np.unique(ordered, axis=0, return_index=True)
     return edges[np.sort(first)]
 
 
 def _joined_lines(text: str) -> list[str]:
-    """Lines, of which one that ends in a backslash takes the next with it; numbers stay."""
+    """Lines of an OBJ text; a line that ends in a backslash is joined with the next one.
+
+    An empty line replaces the first of both, so that line numbers stay the same.
+    """
     lines: list[str] = []
-    waiting = ""
+    unfinished_line = ""
     for line in text.splitlines():
         if line.endswith("\\"):
-            waiting += line[:-1] + " "
+            unfinished_line += line[:-1] + " "
             lines.append("")
         else:
-            lines.append(waiting + line)
-            waiting = ""
-    return [*lines, waiting] if waiting else lines
+            lines.append(unfinished_line + line)
+            unfinished_line = ""
+    return [*lines, unfinished_line] if unfinished_line else lines
 
 
 def _vertex(fields: list[str], where: str) -> list[float]:
@@ -131,7 +161,11 @@ def _vertex(fields: list[str], where: str) -> list[float]:
 
 
 def _index(word: str, count: int, where: str) -> int:
-    """Index of a vertex from 0; an OBJ counts from 1, or with minus back from the last one."""
+    """Convert a vertex reference of an OBJ text to an index from 0.
+
+    References count from 1, or with a minus sign back from the last of `count` vertices. Raise
+    `InputError` for an invalid reference.
+    """
     try:
         number = int(word.split("/")[0])
     except ValueError:
@@ -147,7 +181,7 @@ def _index(word: str, count: int, where: str) -> int:
 def _merge_vertices(
     vertices: Float[np.ndarray, "n 3"],
 ) -> tuple[list[int], Float[np.ndarray, "k 3"]]:
-    """Index of the distinct point of each vertex, and the distinct points."""
+    """Merge vertices at the same position: (point index of each vertex, points (k, 3))."""
     if len(vertices) == 0:
         return [], vertices
     size = float(np.ptp(vertices, axis=0).max()) or 1.0
@@ -163,7 +197,11 @@ def _without_repeats(face: list[int]) -> list[int]:
 def _creases(
     points: Float[np.ndarray, "k 3"], faces: list[list[int]], crease_deg: float
 ) -> list[Link]:
-    """Edges between faces that turn, and edges of one face or of more than two."""
+    """Sides of faces that are edges of the shape, as pairs of point indices.
+
+    These are sides of two faces that meet at more than `crease_deg`, of one face, or of more than
+    two.
+    """
     owners: defaultdict[Link, list[tuple[int, bool]]] = defaultdict(list)
     for number, face in enumerate(faces):
         for i, corner in enumerate(face):
@@ -171,9 +209,9 @@ def _creases(
             owners[min(link), max(link)].append((number, link[0] < link[1]))
     normals = [_normal(points[face]) for face in faces]
     creases = []
-    for link, those in owners.items():
-        if len(those) == 2:
-            (a, forward), (b, also_forward) = those
+    for link, face_sides in owners.items():
+        if len(face_sides) == 2:
+            (a, forward), (b, also_forward) = face_sides
             # Faces wound alike go along their common edge in opposite ways.
             sign = -1.0 if forward == also_forward else 1.0
             sine = np.linalg.norm(np.cross(normals[a], normals[b]))
@@ -185,7 +223,7 @@ def _creases(
 
 
 def _normal(corners: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
-    """Newell's normal of a polygon, of length one; zero for a face without area."""
+    """Unit normal (3,) of a polygon by Newell's method; zero for a polygon without area."""
     centred = corners - corners.mean(axis=0)
     normal = np.cross(centred, np.roll(centred, -1, axis=0)).sum(axis=0)
     length = np.linalg.norm(normal)
@@ -193,7 +231,7 @@ def _normal(corners: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
 
 
 def _chains(links: list[Link]) -> list[list[int]]:
-    """Links put one after the other through points where just two of them meet."""
+    """Join pairs of point indices to polylines, through points that belong to exactly two pairs."""
     links_at: defaultdict[int, list[Link]] = defaultdict(list)
     for link in links:
         links_at[link[0]].append(link)
@@ -219,7 +257,10 @@ def _chains(links: list[Link]) -> list[list[int]]:
 
 
 def _triangles(points: Float[np.ndarray, "k 3"], face: list[int]) -> list[list[int]]:
-    """A plane polygon in triangles, by cutting its ears."""
+    """Split a plane polygon into triangles by cutting off ears; empty if it crosses itself.
+
+    `face` and the result are point indices.
+    """
     normal = _normal(points[face])
     corners, triangles = list(face), []
     while len(corners) > 3:
@@ -240,7 +281,10 @@ def _is_ear(
     polygon: list[int],
     normal: Float[np.ndarray, "3"],
 ) -> bool:
-    """Test that a corner turns as the polygon does, and that no other corner lies within."""
+    """True if three consecutive corners of a polygon are a triangle inside the polygon.
+
+    The corner must turn in the direction of `normal`, and no other corner may lie in the triangle.
+    """
     corners = points[ear]
     side = np.cross(np.roll(corners, -1, axis=0) - corners, normal[None])
     if np.cross(corners[1] - corners[0], corners[2] - corners[1]) @ normal < 0:

@@ -1,4 +1,4 @@
-"""A sheet laid out on a page: figures in mm, drawn alike as SVG and as PDF."""
+"""Page layout of a calibration sheet or board, in mm, and its drawing as SVG and PDF."""
 
 import io
 import os
@@ -32,7 +32,17 @@ LETTER_MM = 3.2
 
 
 class Text(NamedTuple):
-    """A line of text, its baseline's middle at `place_mm`, turned upward if `is_upright`."""
+    """A line of text on a page.
+
+    Attributes
+    ----------
+    place_mm : (2,)
+        Middle of the baseline.
+    text : str
+        The text.
+    is_upright : bool
+        True if the text runs upward.
+    """
 
     place_mm: tuple[float, float]
     text: str
@@ -40,9 +50,18 @@ class Text(NamedTuple):
 
 
 class PatternPage(NamedTuple):
-    """Figures in painting order; mm from the page's middle, X to the right and Y up.
+    """A page with the drawing of a board. Coordinates are mm from the page centre, X right, Y up.
 
-    bars_mm : nominal lengths of the two scale bars, along X and along Y.
+    Attributes
+    ----------
+    title : str
+        Title of the page.
+    size_mm : (width, height)
+        Size of the page.
+    figures : tuple of Disc, Polygon or Text
+        Figures in the order of painting.
+    bars_mm : (2,)
+        Nominal lengths of the two scale bars, along X and along Y.
     """
 
     title: str
@@ -52,24 +71,34 @@ class PatternPage(NamedTuple):
 
 
 def drawing_room_mm(paper: str) -> tuple[float, float]:
-    """Width and height that a drawing may take of a paper, upright."""
+    """Largest (width, height), mm, of a drawing on a paper size in portrait format."""
     width, height = PAPER_SIZES_MM[paper] - _around_mm()
     return float(width), float(height)
 
 
 def _around_mm() -> Float[np.ndarray, "2"]:
-    """Width and height taken by margins, bars and text, mm."""
+    """(width, height), mm, that margins, scale bars and text need in addition to the drawing."""
     return 2 * _MARGIN_MM + np.array([2 * _BAR_GAP_MM, _BAR_GAP_MM + _TEXT_ROOM_MM])
 
 
 def lay_out(board: AbstractBoard, paper: str = "a4") -> PatternPage:
-    """The sheet or board in true scale on a page, with a scale bar on both axes.
+    """Place the true-scale drawing of a board on a page, with scale bars along X and Y.
 
-    paper : one of `PAPER_SIZES_MM`; the page is turned if the sheet only fits lying.
+    Parameters
+    ----------
+    board : AbstractBoard
+        Sheet of circles or board.
+    paper : str
+        A key of `PAPER_SIZES_MM`. Landscape format is used if the drawing does not fit in portrait.
+
+    Returns
+    -------
+    PatternPage
 
     Raises
     ------
-    InputError : an unknown paper, or a sheet too large for it.
+    InputError
+        If the paper size is unknown, or too small for the drawing.
     """
     if paper.lower() not in PAPER_SIZES_MM:
         raise InputError(
@@ -106,9 +135,9 @@ def lay_out(board: AbstractBoard, paper: str = "a4") -> PatternPage:
 
 
 def drawing_box_mm(board: AbstractBoard) -> Float[np.ndarray, "2 2"]:
-    """Lower left and upper right corner of the rectangle that all ink lies in.
+    """Bounding box of the ink of a board: lower left and upper right corner, (2, 2).
 
-    Raises InputError for what is no board.
+    Raise `InputError` if the argument is not a board.
     """
     if not isinstance(board, AbstractBoard):
         raise InputError(f"A {type(board).__name__} cannot be drawn: give a board or a Pattern.")
@@ -125,7 +154,7 @@ def drawing_box_mm(board: AbstractBoard) -> Float[np.ndarray, "2 2"]:
 
 
 def drawing_size_mm(board: AbstractBoard) -> tuple[float, float]:
-    """Width and height of the ink, from outer edge to outer edge."""
+    """(width, height), mm, of the bounding box of a board's ink."""
     low, high = drawing_box_mm(board)
     return _pair(high - low)
 
@@ -133,23 +162,27 @@ def drawing_size_mm(board: AbstractBoard) -> tuple[float, float]:
 def _scale_bars(
     low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"], bar_x: float, bar_y: float
 ) -> list[Disc | Polygon | Text]:
-    """Ticks whose outer edges are the nominal length apart."""
+    """Figures of both scale bars: bars with a tick at each end, and labels.
+
+    The outer edges of the ticks are one bar length apart. `low` and `high` are corners of the
+    drawing; `bar_x` and `bar_y` are the bar lengths. All are in mm.
+    """
     middle = 0.5 * (low + high)
     figures: list[Disc | Polygon | Text] = []
-    for length, position, turned in (
+    for length, position, is_vertical in (
         (bar_x, np.array([middle[0], low[1] - _BAR_GAP_MM]), False),
         (bar_y, np.array([low[0] - _BAR_GAP_MM, middle[1]]), True),
     ):
-        half, thin = 0.5 * length, 0.5 * _BAR_WIDTH_MM
-        rectangles = [(-half, half, -thin, thin)]
+        half, half_width = 0.5 * length, 0.5 * _BAR_WIDTH_MM
+        rectangles = [(-half, half, -half_width, half_width)]
         rectangles += [(-half, -half + _BAR_WIDTH_MM, -_TICK_MM / 2, _TICK_MM / 2)]
         rectangles += [(half - _BAR_WIDTH_MM, half, -_TICK_MM / 2, _TICK_MM / 2)]
         for left, right, bottom, top in rectangles:
             corners = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
-            figures.append(Polygon(position + (corners[:, ::-1] if turned else corners), True))
+            figures.append(Polygon(position + (corners[:, ::-1] if is_vertical else corners), True))
         label = f"{length:g} mm between the outer edges of the ticks"
-        label_offset = np.array([-1.2, 0.0]) if turned else np.array([0.0, 1.2])
-        figures.append(Text(_pair(position + label_offset), label, turned))
+        label_offset = np.array([-1.2, 0.0]) if is_vertical else np.array([0.0, 1.2])
+        figures.append(Text(_pair(position + label_offset), label, is_vertical))
     return figures
 
 
@@ -166,12 +199,27 @@ def _pair(point: np.ndarray) -> tuple[float, float]:
 def save_pattern_svg(
     pattern: AbstractBoard, path: str | os.PathLike[str], *, paper: str = "a4"
 ) -> None:
-    """Draw the sheet in true scale. Raises InputError where it does not fit the paper."""
+    """Write the true-scale drawing of a board as SVG.
+
+    Parameters
+    ----------
+    pattern : AbstractBoard
+        Sheet of circles or board.
+    path : path
+        File to write.
+    paper : str
+        Paper size, a key of `PAPER_SIZES_MM`.
+
+    Raises
+    ------
+    InputError
+        If the drawing does not fit on the paper.
+    """
     write_text(path, pattern_svg(lay_out(pattern, paper)))
 
 
 def pattern_svg(page: PatternPage) -> str:
-    """The SVG text of a page; one user unit is one millimetre."""
+    """SVG text of a page. One user unit is 1 mm."""
     width, height = page.size_mm
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}mm" height="{height:g}mm"'
@@ -198,7 +246,7 @@ def pattern_svg(page: PatternPage) -> str:
 
 
 def _from_top_left(place_mm, page: PatternPage) -> tuple[str, str]:
-    """SVG counts from the top left, downward."""
+    """Convert a point to SVG coordinates, from the top left corner of the page, y down, as text."""
     width, height = page.size_mm
     return _number(0.5 * width + place_mm[0]), _number(0.5 * height - place_mm[1])
 
@@ -217,10 +265,25 @@ _POINTS_PER_MM = 72.0 / 25.4
 def save_pattern_pdf(
     pattern: AbstractBoard, path: str | os.PathLike[str], *, paper: str = "a4"
 ) -> None:
-    """Draw the sheet in true scale.
+    """Write the true-scale drawing of a board as PDF.
 
-    The page box is the paper's exactly, and viewers are told not to scale when printing.
-    Raises InputError where the sheet does not fit the paper, or reportlab is not installed.
+    Parameters
+    ----------
+    pattern : AbstractBoard
+        Sheet of circles or board.
+    path : path
+        File to write.
+    paper : str
+        Paper size, a key of `PAPER_SIZES_MM`.
+
+    Raises
+    ------
+    InputError
+        If the drawing does not fit on the paper, or reportlab is not installed.
+
+    Notes
+    -----
+    The page box has exactly the size of the paper. The file asks viewers not to scale it in print.
     """
     content = pattern_pdf(lay_out(pattern, paper))
     with atomic_write(path) as file:
@@ -228,7 +291,7 @@ def save_pattern_pdf(
 
 
 def pattern_pdf(page: PatternPage) -> bytes:
-    """The PDF file of a page, the same bytes for the same page."""
+    """Content of the PDF file of a page; equal pages give equal content."""
     try:
         from reportlab.pdfgen.canvas import Canvas
     except ImportError as error:

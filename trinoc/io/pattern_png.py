@@ -1,4 +1,4 @@
-"""A sheet or board as the picture that a screen shows pixel by pixel, for a screen as target."""
+"""Image of a sheet or board for a screen that serves as calibration target."""
 
 import os
 
@@ -19,7 +19,10 @@ _MARGIN_MM = 5.0
 
 
 def screen_room_mm(size_px: tuple[int, int], pitch_mm: float) -> tuple[float, float]:
-    """Width and height that a drawing may take of a screen."""
+    """Largest (width, height), mm, of a drawing on a screen, with white margins.
+
+    `size_px` is the size of the screen and `pitch_mm` the size of a pixel.
+    """
     return size_px[0] * pitch_mm - 2 * _MARGIN_MM, size_px[1] * pitch_mm - 2 * _MARGIN_MM
 
 
@@ -30,19 +33,53 @@ def save_pattern_png(
     size_px: tuple[int, int],
     pitch_mm: float,
 ) -> None:
-    """Write the picture of `pattern_picture`. Raises InputError where the screen is too small."""
+    """Write the image of a board for a screen, as PNG.
+
+    Parameters
+    ----------
+    pattern : AbstractBoard
+        Sheet of circles or board.
+    path : path
+        File to write.
+    size_px : (width, height)
+        Size of the screen.
+    pitch_mm : float
+        Size of a pixel.
+
+    Raises
+    ------
+    InputError
+        If the drawing does not fit on the screen.
+    """
     write_picture(path, pattern_picture(pattern, size_px=size_px, pitch_mm=pitch_mm))
 
 
 def pattern_picture(
     pattern: AbstractBoard, *, size_px: tuple[int, int], pitch_mm: float
 ) -> UInt8[np.ndarray, "h w"]:
-    """The drawing in true scale in the middle of a screen of square pixels, white around it.
+    """Image of a board for a screen with square pixels, in true scale, centred on white.
 
-    size_px : width and height of the screen; pitch_mm : from one pixel to the next. A pixel that
-    an edge crosses gives off the light of its white part, its level by sRGB (IEC 61966-2-1), so
-    that edges stand between pixels where they belong. Raises InputError where the screen is too
-    small.
+    A pixel at an edge has the light of its white share, converted to a level by sRGB (IEC
+    61966-2-1). A camera then sees each edge at its exact position between pixels.
+
+    Parameters
+    ----------
+    pattern : AbstractBoard
+        Sheet of circles or board.
+    size_px : (width, height)
+        Size of the screen.
+    pitch_mm : float
+        Size of a pixel.
+
+    Returns
+    -------
+    (h, w)
+        Grey levels, uint8.
+
+    Raises
+    ------
+    InputError
+        If the drawing does not fit on the screen.
     """
     low, high = drawing_box_mm(pattern)
     needed, room = high - low, np.array(screen_room_mm(size_px, pitch_mm))
@@ -68,7 +105,10 @@ def _on_screen(
     size_px: tuple[int, int],
     pitch_mm: float,
 ) -> Disc | Polygon:
-    """In pixels, x right and y down from the outer corner of the top left one."""
+    """Convert a figure from mm to pixels, from the corner of the top-left pixel, y down.
+
+    `middle` is the point of the drawing, mm, at the centre of the screen.
+    """
     half, flip = 0.5 * np.array(size_px), np.array([1.0, -1.0]) / pitch_mm
     if isinstance(figure, Polygon):
         return figure._replace(corners_mm=half + (figure.corners_mm - middle) * flip)
@@ -79,7 +119,7 @@ def _on_screen(
 def _white_share(
     shapes: list[Disc | Polygon], top: int, bottom: int, width: int
 ) -> Float[np.ndarray, "h w"]:
-    """Part of each pixel that no ink covers, of the rows from `top` until `bottom`."""
+    """Share of each pixel that is not covered by ink, (h, w), for the rows `top` to `bottom`."""
     white = np.ones(((bottom - top) * _DIVISION, width * _DIVISION), dtype=bool)
     for shape in shapes:
         low, high = _bounds(shape)
@@ -108,9 +148,9 @@ def _bounds(shape: Disc | Polygon) -> tuple[Float[np.ndarray, "2"], Float[np.nda
 def _inside(
     shape: Disc | Polygon, x: Float[np.ndarray, "1 w"], y: Float[np.ndarray, "h 1"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Mask of the points inside a figure.
+    """True for grid points (x, y) inside a figure, (h, w).
 
-    Polygons are convex; their vertices may be in either order.
+    Polygons must be convex; their corners may be in either order.
     """
     if isinstance(shape, Disc):
         return np.hypot(x - shape.centre_mm[0], y - shape.centre_mm[1]) < shape.radius_mm
@@ -124,5 +164,5 @@ def _inside(
 
 
 def _level(light: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """The sRGB level, 0 to 1, of light from 0 to 1."""
+    """Convert linear light, 0 to 1, to the sRGB level, 0 to 1."""
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)

@@ -1,7 +1,7 @@
-"""Tags of picture files that change how pixels are shown: orientation, and white as zero.
+"""Tags of image files that change the display: orientation, and white as zero.
 
-Pixels are read as the sensor had them, whatever the orientation tag says: the calibration of a lens
-belongs to the sensor. Decoders of TIFF turn pixels by the tag, so it is set to 1 before.
+Orientation tags are not applied, because a lens calibration belongs to the pixels of the sensor.
+Decoders of TIFF rotate the pixels by this tag, so it is set to 1 before decoding.
 
 References
 ----------
@@ -30,7 +30,21 @@ _named_folders: set[Path] = set()
 
 
 class _Directory(NamedTuple):
-    """Layout of a TIFF's first directory: formats of `struct`, sizes and positions in bytes."""
+    """Layout of the first directory of a TIFF file.
+
+    Attributes
+    ----------
+    order : str
+        Byte order as a prefix of `struct` formats, "<" or ">".
+    start : int
+        Offset of the directory in the file.
+    count_format : str
+        Format of the number of entries.
+    entry_bytes : int
+        Size of an entry.
+    value_at : int
+        Offset of the value in an entry.
+    """
 
     order: str
     start: int
@@ -40,18 +54,18 @@ class _Directory(NamedTuple):
 
 
 def read_orientation(content: bytes) -> int:
-    """The orientation tag of a picture, 1 to 8; 1 where it has none or one that means nothing."""
+    """Orientation tag of an image file, 1 to 8; 1 if the tag is missing or invalid."""
     tag = _tiff_tag(content, _ORIENTATION) if _directory(content) else _exif_orientation(content)
     return tag if tag is not None and tag in _TURNS else 1
 
 
 def has_white_as_zero(content: bytes) -> bool:
-    """Test for a TIFF in which 0 is white."""
+    """True for a TIFF file in which the level 0 means white."""
     return _tiff_tag(content, _PHOTOMETRIC) == _WHITE_IS_ZERO
 
 
 def as_stored(content: bytes) -> bytes:
-    """The content of a picture file with the orientation tag of a TIFF set to 1."""
+    """Content of an image file, with the orientation tag of a TIFF set to 1 (as stored)."""
     directory, offset = _directory(content), _tiff_value_at(content, _ORIENTATION)
     if directory is None or offset is None or _tiff_tag(content, _ORIENTATION) == 1:
         return content
@@ -59,7 +73,7 @@ def as_stored(content: bytes) -> bytes:
 
 
 def warn_of_orientation(file: Path, content: bytes) -> None:
-    """Log a warning for a picture with an orientation tag, once in a process for each folder."""
+    """Log a warning if an image has an orientation tag, once for each folder in a process."""
     orientation = read_orientation(content)
     if orientation == 1 or file.parent in _named_folders:
         return
@@ -73,7 +87,7 @@ def warn_of_orientation(file: Path, content: bytes) -> None:
 
 
 def _exif_orientation(content: bytes) -> int | None:
-    """The tag of a JPEG, WebP or PNG; None where there is none that can be read."""
+    """Orientation tag of a JPEG, WebP or PNG file; None if there is no readable tag."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -88,7 +102,7 @@ def _exif_orientation(content: bytes) -> int | None:
 
 
 def _png_chunk(content: bytes, kind: bytes) -> bytes:
-    """The data of a PNG's first chunk of a kind, empty where it has none; pixels stay packed."""
+    """Data of the first chunk of type `kind` in a PNG file; empty if there is none."""
     offset = len(_PNG)
     while offset + 12 <= len(content):
         (length,) = struct.unpack_from(">I", content, offset)
@@ -99,7 +113,7 @@ def _png_chunk(content: bytes, kind: bytes) -> bytes:
 
 
 def _directory(content: bytes) -> _Directory | None:
-    """Layout of the first directory of a TIFF; None for other formats."""
+    """Layout of the first directory of a TIFF file; None for other formats."""
     order = {b"II": "<", b"MM": ">"}.get(content[:2])
     if order is None or len(content) < 16:
         return None
@@ -114,7 +128,7 @@ def _directory(content: bytes) -> _Directory | None:
 
 
 def _tiff_value_at(content: bytes, tag: int) -> int | None:
-    """Offset of the 16-bit value of a tag of a TIFF's first image; None without such a tag."""
+    """Offset in the file of a tag's 16-bit value, in a TIFF's first image; None if missing."""
     directory = _directory(content)
     if directory is None or directory.start + 8 > len(content):
         return None
@@ -129,7 +143,7 @@ def _tiff_value_at(content: bytes, tag: int) -> int | None:
 
 
 def _tiff_tag(content: bytes, tag: int) -> int | None:
-    """The 16-bit value of a tag of a TIFF's first picture."""
+    """16-bit value of a tag of a TIFF's first image; None if missing."""
     directory, offset = _directory(content), _tiff_value_at(content, tag)
     if directory is None or offset is None:
         return None

@@ -1,4 +1,4 @@
-"""rig.json: cameras, what is known of their errors, and how the calibration ended."""
+"""rig.json: cameras, their covariance, and the status of the calibration."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -40,22 +40,37 @@ CONVERGED = "converged"
 
 
 class CameraStatus(NamedTuple):
-    """Status of the fit of a camera ("converged", "suspect"), and notes for its user."""
+    """Status of one camera's calibration.
+
+    Attributes
+    ----------
+    status : str
+        Status of the fit: "converged", "suspect" or another.
+    notes : tuple of str
+        Sentences for the user.
+    """
 
     status: str
     notes: tuple[str, ...]
 
 
 class RigStatus(NamedTuple):
-    """cameras : status of each that was calibrated. sigmas_include : the errors that the
-    covariance holds, in words; both empty for rigs that no calibration wrote."""
+    """Status of the calibration that wrote a rig.json. Empty fields if no calibration wrote it.
+
+    Attributes
+    ----------
+    cameras : dict of CameraStatus
+        Status of each camera that was calibrated.
+    sigmas_include : tuple of str
+        Names of the error sources that the covariance includes, such as "noise".
+    """
 
     cameras: dict[str, CameraStatus]
     sigmas_include: tuple[str, ...]
 
     @property
     def doubts(self) -> dict[str, str]:
-        """A sentence for each camera that is not to be trusted."""
+        """Reason for each camera whose status is not "converged", keyed by camera name."""
         return {
             name: camera.notes[0] if camera.notes else "its calibration gives no reason."
             for name, camera in self.cameras.items()
@@ -66,8 +81,11 @@ class RigStatus(NamedTuple):
 def status_of_names(
     status: RigStatus, names: Sequence[str], *, sigmas: bool
 ) -> dict[str, Any] | None:
-    """The "status" object of a rig made from some cameras of another, with its sigmas or not; None
-    where no calibration spoke of these."""
+    """Object "status" of a new rig.json for the cameras `names`, from the status of another.
+
+    `sigmas` is True if the new file has the covariance of the other. None if no calibration
+    reported a status of these cameras.
+    """
     cameras = {
         name: {"status": status.cameras[name].status, "notes": list(status.cameras[name].notes)}
         for name in names
@@ -78,7 +96,7 @@ def status_of_names(
 
 
 def status_to_block(result: "CalibrationResult") -> dict[str, Any]:
-    """The "status" object of a file."""
+    """Convert the status of a calibration result to the JSON object "status"."""
     return {
         "cameras": {
             name: {
@@ -92,7 +110,10 @@ def status_to_block(result: "CalibrationResult") -> dict[str, Any]:
 
 
 def status_of_document(document: Block) -> RigStatus:
-    """The status of a document; without entries if it states none. Raises InputError."""
+    """Read the object "status" of a rig.json; empty fields if there is none.
+
+    Raise `InputError` for invalid values.
+    """
     if "status" not in document.values:
         return RigStatus({}, ())
     block = document.block("status")
@@ -114,10 +135,21 @@ _CONSISTENT = 1e-6
 
 
 def load_rig(path: str | os.PathLike[str]) -> Rig:
-    """Read a rig.json, with its covariance.
+    """Read a rig.json with its covariance.
 
-    A camera needs "extrinsics" or "cam_from_world"; where both stand they must agree.
-    Raises InputError, in one sentence with the file, the key and what to do.
+    Parameters
+    ----------
+    path : path
+        File to read. Each camera has "extrinsics", "cam_from_world", or both if they agree.
+
+    Returns
+    -------
+    Rig
+
+    Raises
+    ------
+    InputError
+        If the content is invalid. The message names file and key.
     """
     document = read_document(path, FORMAT, VERSION)
     document.expect_keys(
@@ -141,9 +173,15 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
 
 
 class KnownLens(NamedTuple):
-    """A lens, and the covariance (q, q) of its parameters where its file states one.
+    """A lens with the covariance of its parameters.
 
-    They are those of the lens's model, and of Brown-Conrady for an ideal lens.
+    Attributes
+    ----------
+    intrinsics : Intrinsics
+        The lens.
+    covariance : (q, q) or None
+        Covariance of the parameters of the lens model; None if the file has none. For a lens
+        without distortion the parameters are those of Brown-Conrady.
     """
 
     intrinsics: Intrinsics
@@ -151,10 +189,10 @@ class KnownLens(NamedTuple):
 
 
 def load_lens(path: str | os.PathLike[str], camera: str | None = None) -> KnownLens:
-    """The lens of a camera.json, or of a camera of a rig.json: of the one of this name, or the
-    only one.
+    """Read a lens from a camera.json, or the lens of one camera from a rig.json.
 
-    Raises InputError, in one sentence with the file.
+    `camera` is the name of the camera in the rig. It may be None if the rig has only one. Raise
+    `InputError` for invalid content, or if the rig has no such camera.
     """
     values = parsed_json(read_text(path), path)
     if not isinstance(values, dict) or values.get("format") != FORMAT:
@@ -179,7 +217,10 @@ def load_lens(path: str | os.PathLike[str], camera: str | None = None) -> KnownL
 
 
 def load_rig_status(path: str | os.PathLike[str]) -> RigStatus:
-    """Read the status of the calibration that wrote a rig.json. Raises InputError."""
+    """Read the status of the calibration that wrote a rig.json.
+
+    Raise `InputError` for invalid content.
+    """
     return status_of_document(read_document(path, FORMAT, VERSION))
 
 
@@ -190,16 +231,30 @@ def save_rig(
     provenance: Mapping[str, Any] | None = None,
     status: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a rig.json; `provenance` says how the rig came to be known, `status` how well.
+    """Write a rig.json.
 
-    Raises InputError for lenses, cameras and a covariance that `load_rig` would refuse.
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    path : path
+        File to write.
+    provenance : mapping, optional
+        Source of the rig, such as the command and its inputs.
+    status : mapping, optional
+        The object "status" of `status_to_block`.
+
+    Raises
+    ------
+    InputError
+        If `load_rig` would refuse a lens, a camera or the covariance.
     """
     expect_readable(rig, f"{path} was not written")
     write_document(path, _rig_to_values(rig, provenance, status))
 
 
 def rig_text(rig: Rig) -> str:
-    """Text of a rig.json without the status of a calibration; equal rigs give equal texts."""
+    """Text of a rig.json without status and provenance; equal rigs give equal texts."""
     return document_text(_rig_to_values(rig, None, None))
 
 
@@ -247,9 +302,11 @@ def _camera_to_block(rig: Rig, name: str) -> dict[str, Any]:
 
 
 def _sigmas(rig: Rig, name: str) -> dict[str, float]:
-    """Standard deviation of each parameter of one camera, by the parameter's own name."""
-    parted = ((parameter, *parameter.rpartition(".")) for parameter in rig.parameters)
-    return {key: rig.sigma(parameter) for parameter, camera, _, key in parted if camera == name}
+    """Standard deviation of each parameter of one camera, keyed by name, such as "pan_deg"."""
+    split_names = ((parameter, *parameter.rpartition(".")) for parameter in rig.parameters)
+    return {
+        key: rig.sigma(parameter) for parameter, camera, _, key in split_names if camera == name
+    }
 
 
 def _camera(block: Block) -> Camera:
@@ -304,7 +361,10 @@ def _check_consistent(block: Block, camera: Camera, other: Camera) -> None:
 def parse_covariance(
     document: Block, cameras: Mapping[str, Camera]
 ) -> tuple[tuple[str, ...], np.ndarray | None]:
-    """The parameters and the matrix under "covariance", where it stands. Raises InputError."""
+    """Read the object "covariance": (parameter names, matrix); ((), None) if there is none.
+
+    Raise `InputError` for invalid values.
+    """
     if "covariance" not in document.values:
         return (), None
     block = document.block("covariance")

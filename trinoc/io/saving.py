@@ -1,4 +1,4 @@
-"""One function that writes any of trinoc's values to its own kind of file, and one that reads."""
+"""`save` and `load` for all values that trinoc writes, each in its own format."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -35,7 +35,7 @@ MAPS_FORMAT, MAPS_VERSION = "trinoc-maps", 1
 
 
 def tables() -> list[type[Table]]:
-    """The kinds of values that are written as npz."""
+    """List the table classes that `save` writes as npz."""
     # Here, because a calibration writes none of them, and they bring the matcher with them.
     from trinoc.calib.detection.detection import Detection
     from trinoc.match.features import FEATURES
@@ -44,17 +44,15 @@ def tables() -> list[type[Table]]:
 
 
 def expect_ending(path: str | os.PathLike[str] | None, kind: type) -> None:
-    """Check, before a long job, that a file name has the ending that `save` needs.
+    """Raise `InputError` if `save` needs another file ending for a value of class `kind`.
 
-    kind : type of the value that will be saved.
-
-    Raises InputError for another ending.
+    Called before a long computation. Nothing is checked if `path` is None.
     """
-    written = [(*document, ".json") for document in _DOCUMENTS]
-    written.append((PictureMaps, "maps", ".npz"))
+    file_kinds = [(*document, ".json") for document in _DOCUMENTS]
+    file_kinds.append((PictureMaps, "maps", ".npz"))
     if issubclass(kind, Table):
-        written.append((kind, kind.IN_WORDS, ".npz"))
-    for each, label, ending in written:
+        file_kinds.append((kind, kind.IN_WORDS, ".npz"))
+    for each, label, ending in file_kinds:
         if path is not None and issubclass(kind, each) and Path(path).suffix.lower() != ending:
             are = "is" if label.startswith("a ") else "are"
             raise InputError(f"{path}: {label} {are} written as {ending}: choose such a name.")
@@ -67,10 +65,10 @@ def expect_replaceable(
     force: bool = False,
     remedy: str = "--force",
 ) -> None:
-    """Check, before a long job, that `save` may write a value of a kind to a path.
+    """Raise `InputError` if `save` may not write a value of class `kind` to `path`.
 
-    Raises InputError for a name with another ending and, unless forced, for an existing file that
-    holds something else.
+    Called before a long computation. Reasons are another file ending, and an existing file with
+    another kind of content, unless `force`. `remedy` is the option named in the message.
     """
     expect_ending(path, kind)
     # Not of `Path`, which raises for a name that is too long.
@@ -86,7 +84,10 @@ def expect_replaceable(
 
 
 def expect_marked(path: str | os.PathLike[str] | None, mark: bytes, *, force: bool = False) -> None:
-    """Check the same for files that `load` does not read, such as reports, by a mark in them."""
+    """Raise `InputError` if an existing file does not contain the bytes `mark`, unless `force`.
+
+    `mark` identifies the kind of file, such as a report, that may be replaced.
+    """
     if path is None or force or not Path(path).is_file():
         return
     content = Path(path).read_bytes()
@@ -95,7 +96,10 @@ def expect_marked(path: str | os.PathLike[str] | None, mark: bytes, *, force: bo
 
 
 def expect_foreign(path: str | os.PathLike[str], *, force: bool = False) -> None:
-    """Check the same for other tools' files, which must not replace a file of trinoc."""
+    """Raise `InputError` if `path` is a file that trinoc wrote, unless `force`.
+
+    A file in another tool's format must not replace it.
+    """
     if force or not Path(path).is_file() or Path(path).suffix.lower() not in (".json", ".npz"):
         return
     try:
@@ -113,7 +117,7 @@ def _describe_loss(path: str | os.PathLike[str], content: str, remedy: str = "--
 
 
 def _stated_format(file: Path) -> object:
-    """The format that a JSON or npz file states; None if it states none."""
+    """Value of the key "format" in a JSON or npz file; None or empty if it has none."""
     if file.suffix.lower() == ".json":
         values = parsed_json(read_text(file), file)
         return values.get("format") if isinstance(values, dict) else None
@@ -121,7 +125,7 @@ def _stated_format(file: Path) -> object:
 
 
 def _list_formats(kind: type) -> tuple[str, ...]:
-    """The formats that files of a kind of value state."""
+    """Values of the key "format" in files with a value of class `kind`."""
     if issubclass(kind, Table):
         return (f"trinoc-{kind.KIND}",)
     if issubclass(kind, AbstractTarget):
@@ -138,26 +142,38 @@ def save(
     provenance: Mapping[str, Any] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a value to a file, whole or not at all.
+    """Write a value to a file, which appears complete or not at all.
 
-    A Rig (or the rig of a CalibrationResult, then with its status), Intrinsics (or the lens of a
-    CalibrationResult of `calibrate_intrinsics`, then with its covariance), a Pattern and a board
-    become JSON; Segments, Matches, a Detection, a Wireframe, Rims and PictureMaps become npz.
-    `provenance`, of rigs and lenses, says how it was found ("command", "version", "inputs"). With
-    `overwrite` the file may be one of something else. Raises InputError for other values, for a
-    name whose ending is not that of the file, and where a file of something else would be lost.
+    Parameters
+    ----------
+    value : Rig, CalibrationResult, Intrinsics, Pattern, board, or table
+        Rigs, lenses and boards become JSON. Segments, Matches, Detection, Wireframe, Rims and
+        PictureMaps become npz. Of a CalibrationResult the rig is written with its status. Of a lens
+        calibration the lens is written with its covariance.
+    path : path
+        File to write, with the ending .json or .npz.
+    provenance : mapping, optional
+        Source of a rig or lens: "command", "version", "inputs".
+    overwrite : bool
+        True: an existing file with another kind of content may be replaced.
+
+    Raises
+    ------
+    InputError
+        If the value cannot be saved, the file ending is wrong, or a file with another kind of
+        content exists.
     """
     expect_path(path)
-    more: dict[str, Any] = {}
+    writer_arguments: dict[str, Any] = {}
     kinds = (PictureMaps, *(tables() if isinstance(value, Table) else dict(_DOCUMENTS)))
     if not isinstance(value, kinds):
-        value, more = _content_of_result(value, path)
+        value, writer_arguments = _content_of_result(value, path)
     expect_replaceable(path, type(value), force=overwrite, remedy="overwrite=True")
     match value:
         case Rig():
-            rig_json.save_rig(value, path, provenance=provenance, **more)
+            rig_json.save_rig(value, path, provenance=provenance, **writer_arguments)
         case Intrinsics():
-            intrinsics_json.save_intrinsics(value, path, provenance=provenance, **more)
+            intrinsics_json.save_intrinsics(value, path, provenance=provenance, **writer_arguments)
         case AbstractTarget():
             save_target(value, path)
         case Table():
@@ -169,15 +185,26 @@ def save(
 
 
 def load(path: str | os.PathLike[str]) -> Any:
-    """The value in a file that trinoc wrote, by what the file says of itself.
+    """Read the value in a file that trinoc wrote. The content of the file decides its type.
 
-    A rig.json gives a Rig, a camera.json Intrinsics, a layout its Pattern or board, the truth.json
-    of a made scene a SceneTruth; an npz gives Segments, Matches, a Detection, a Wireframe,
-    Rims or PictureMaps, a file of frames (npz or parquet) the FrameMatches of each, the
-    output folder of a batch its RecordingMatches; an OBJ gives a KnownShape.
+    Parameters
+    ----------
+    path : path
+        File, or the output folder of a batch.
 
-    Raises InputError for other files, and, with the field and the first row, for what no such value
-    holds.
+    Returns
+    -------
+    Rig, Intrinsics, Pattern, board, SceneTruth, table, list, RecordingMatches or KnownShape
+        A rig.json gives a Rig, a camera.json Intrinsics, a layout a Pattern or board, a truth.json
+        a SceneTruth. An npz gives Segments, Matches, Detection, Wireframe, Rims or PictureMaps. A
+        file of frames (npz or parquet) gives a list of FrameMatches, a batch folder
+        RecordingMatches, an OBJ a KnownShape.
+
+    Raises
+    ------
+    InputError
+        If trinoc did not write the file, or a value is invalid. The message names the field and the
+        first invalid row.
     """
     expect_path(path)
     file = Path(path)
@@ -234,7 +261,7 @@ _BY_FORMAT: dict[str, tuple[str, _Reader]] = {
 
 
 def _other_readers() -> dict[str, _Reader]:
-    """The readers of a truth.json and of the kinds of npz, by format."""
+    """Readers of truth.json and of all npz files, keyed by format name."""
     from trinoc.io import demo, frames_files
 
     return {
@@ -259,11 +286,22 @@ def _load_maps(file: Path) -> PictureMaps:
 
 
 def load_matches(path: str | os.PathLike[str]) -> Matches:
-    """Read matches that `save` wrote.
+    """Read matches from an npz file of `save`.
 
-    Raises InputError for another file, and, with the field and the first row, for what no matching
-    can give: segments that do not exist, fragments where a view sees none, places that are not
-    finite or beyond all scenes, covariances that are none, probabilities outside [0, 1].
+    Parameters
+    ----------
+    path : path
+        File to read.
+
+    Returns
+    -------
+    Matches
+
+    Raises
+    ------
+    InputError
+        If the file contains something else, or values that no matching produces, such as a missing
+        segment or a probability above 1. The message names the field and the first invalid row.
     """
     return load_npz(Matches, path)
 
@@ -271,7 +309,10 @@ def load_matches(path: str | os.PathLike[str]) -> Matches:
 def _content_of_result(
     value: object, path: str | os.PathLike[str]
 ) -> tuple[Rig | Intrinsics, dict[str, Any]]:
-    """The value of a calibration result to write, and keyword arguments for its writer."""
+    """Value that is written for a calibration result: (rig or lens, arguments of its writer).
+
+    Raise `InputError` for other values, and for a calibration without a rig.
+    """
     # Here, because it brings the calibrations with it, and a match wants none.
     from trinoc.calib.result.calibration import CalibrationResult
 

@@ -1,4 +1,4 @@
-"""Segments as files: trinoc's npz, and tables of other detectors, whose headings name columns."""
+"""Segments from files: trinoc's npz, and tables of other detectors."""
 
 import os
 from pathlib import Path
@@ -19,24 +19,37 @@ _REMEDY = "give rows of x1 y1 x2 y2 in pixels"
 
 
 def load_segments(path: str | os.PathLike[str]) -> Segments:
-    """Read segments: an npz of `save`, or a table with rows x1 y1 x2 y2 in pixels.
+    """Read segments from an npz file of `save`, or from a table of another detector.
 
-    A table is npy, csv or txt, separated by commas, semicolons or blanks. Lines that start with #
-    are skipped. A first line, or a comment above the numbers, may name the columns: they are then
-    read by their names, in any order.
+    Parameters
+    ----------
+    path : path
+        An npz file, or a table: npy, csv or txt with rows x1 y1 x2 y2 in pixels.
 
-    - `x1 y1 x2 y2`, also as `start_x`, `x0 y0 x1 y1`, `row1 col1 row2 col2` and similar;
-    - the middle `xm ym` with `full_dx full_dy`, from end to end, or `half_dx half_dy`, from the
-      middle to the second end;
-    - the middle with a direction `dx dy` of any length and the `length` from end to end;
-    - the middle with `length` and `angle_deg` or `angle_rad`, from x towards y, which points down.
+    Returns
+    -------
+    Segments
+        Segments of a table have the default sigmas of `Segments.from_endpoints`.
 
-    Further columns of detectors, such as width, score and nfa, are left out. The segments get the
-    sigmas of `Segments.from_endpoints`.
+    Raises
+    ------
+    InputError
+        If the file or a column name is unknown, or a value is invalid, for example not finite. The
+        message names the field and the first invalid row.
 
-    Raises InputError for other files and for columns of other names. Raises it, with the field and
-    the first row, for values that no segment has: other shapes, coordinates that are not finite or
-    beyond all pictures, covariances that are none.
+    Notes
+    -----
+    In a text table, commas, semicolons or blanks separate numbers, and lines that begin with `#`
+    are skipped. A first line, or a comment above the numbers, may name the columns. Then they may
+    have any order and be of these kinds:
+
+    - ends `x1 y1 x2 y2`; also `start_x`, `x0 y0 x1 y1`, `row1 col1 row2 col2` and similar;
+    - the middle `xm ym`, with the vector `full_dx full_dy` from end to end, or `half_dx half_dy`
+      from the middle to the second end;
+    - the middle, with a direction `dx dy` of any length and the `length` from end to end;
+    - the middle, with `length` and `angle_deg` or `angle_rad`, from x toward y, which points down.
+
+    Other columns of detectors, such as width, score and nfa, are ignored.
     """
     expect_path(path)
     file = Path(path)
@@ -62,7 +75,10 @@ def load_segments(path: str | os.PathLike[str]) -> Segments:
 
 
 def read_table(file: Path) -> np.ndarray:
-    """(n, c) numbers of a table. Raises InputError, with the line, for what is none."""
+    """Read the numbers (n, c) of a table file.
+
+    Raise `InputError`, which names the line, for other content.
+    """
     if file.suffix.lower() != ".npy":
         return _text_table(read_text(file, MOST_BYTES), file)
     try:
@@ -77,7 +93,7 @@ def read_table(file: Path) -> np.ndarray:
 
 
 def _text_table(text: str, file: Path) -> np.ndarray:
-    """Rows of a text: as x1 y1 x2 y2 where a heading names their columns, else as they stand."""
+    """Numbers of a text table: x1 y1 x2 y2 if the columns have names, else all columns."""
     rows: list[list[float]] = []
     heading: tuple[int, str] | None = None
     comments: list[tuple[int, str]] = []
@@ -128,12 +144,12 @@ def _numbers(fields: list[str]) -> list[float] | None:
 
 
 def _is_names(line: str) -> bool:
-    """Test for a line without any number, such as x1,y1,x2,y2."""
+    """True for a line without any number, such as x1,y1,x2,y2."""
     return all(_numbers([word]) is None for word in _words(line))
 
 
 def _has_decimal_commas(line: str) -> bool:
-    """Four numbers like 1,5 between semicolons or blanks."""
+    """True for four numbers with a decimal comma, separated by semicolons or blanks."""
     fields = line.replace(";", " ").split()
     parts = [word.split(",") for word in fields]
     return (

@@ -1,4 +1,4 @@
-"""Tables as npz files: every field by its name, read without trust, as the columns declare."""
+"""Tables as npz files: one array for each field, checked against the declared columns."""
 
 import itertools
 import os
@@ -26,15 +26,19 @@ _DTYPES = {"f": np.float64, "i": np.int64, "b": np.bool_}
 
 
 def save_npz(table: Table, path: str | os.PathLike[str]) -> None:
-    """Write a table as npz, whole or not at all; fields that are None are left out.
+    """Write a table as an npz file, which appears complete or not at all.
 
-    Raises InputError, before anything is written, for a table that `load_npz` would refuse.
+    Fields that are None are left out. Raise `InputError`, before anything is written, for a table
+    that `load_npz` would refuse.
     """
     write_arrays(path, f"trinoc-{table.KIND}", VERSION, checked_arrays(table, path))
 
 
 def checked_arrays(table: Table, path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
-    """The arrays of a table, which its reader has read. Raises InputError where it refuses them."""
+    """Return the arrays that store a table, after a test that `build_table` can read them.
+
+    Raise `InputError` otherwise.
+    """
     arrays = list_arrays(table)
     fields = ArrayFields(arrays, f"{path} was not written", remedy="correct the value")
     read = list_arrays(build_table(type(table), fields))
@@ -45,16 +49,16 @@ def checked_arrays(table: Table, path: str | os.PathLike[str]) -> dict[str, np.n
 
 
 def load_npz(kind: type[_Value], path: str | os.PathLike[str]) -> _Value:
-    """Read a table of a kind that `save_npz` wrote.
+    """Read a table of class `kind` from a file of `save_npz`.
 
-    Raises InputError for another file, and, with the field and the first row, for what the columns
-    of the kind cannot hold.
+    Raise `InputError` for another file or an invalid value. The message names the field and the
+    first invalid row.
     """
     return build_table(kind, ArrayFields(read_arrays(path, f"trinoc-{kind.KIND}", VERSION), path))
 
 
 def list_arrays(table: Table, prefix: str = "") -> dict[str, np.ndarray]:
-    """The arrays that stand for a table in a file, by name."""
+    """Arrays that store a table in a file, keyed by name. `prefix` begins each name."""
     arrays: dict[str, np.ndarray] = {}
     for field in list_fields(type(table)):
         name, value = prefix + field.name, getattr(table, field.name)
@@ -79,15 +83,18 @@ def list_arrays(table: Table, prefix: str = "") -> dict[str, np.ndarray]:
 
 
 def build_table(kind: type[_Value], fields: "ArrayFields") -> _Value:
-    """The table of a kind in the arrays of a file. Raises InputError as `load_npz` does."""
+    """Create a table of class `kind` from the arrays of a file.
+
+    Raise `InputError` for an invalid value. The message names the field and the first invalid row.
+    """
     read = Content({}, {})
     # What stands beside the columns is what these leave; blocks are as large as these say.
-    last = [f for f in list_fields(kind) if f.column.per_row or f.column.blocks]
-    for part in ([field for field in list_fields(kind) if field not in last], last):
-        for field in part:
+    dependent = [f for f in list_fields(kind) if f.column.per_row or f.column.blocks]
+    for group in ([field for field in list_fields(kind) if field not in dependent], dependent):
+        for field in group:
             if not field.optional or fields.has(field):
                 read.values[field.name] = _read(field, fields, read, kind.SIDES)
-        for field in part:
+        for field in group:
             value = read.values.get(field.name)
             for check in field.column.checks if value is not None else ():
                 fields.expect(field.name, check.good(value, read), check.problem)
@@ -95,7 +102,11 @@ def build_table(kind: type[_Value], fields: "ArrayFields") -> _Value:
 
 
 def _read(field: Field, fields: "ArrayFields", read: Content, side_names: Mapping[str, str]) -> Any:
-    """The value of one field. Raises InputError where its array is missing or another."""
+    """Value of one field from the arrays of a file.
+
+    `read` contains the fields that were read before, and is extended by the side lengths of the
+    array. Raise `InputError` if the array is missing or of another type or shape.
+    """
     name, column = field.name, field.column
     if isinstance(field.type, type) and issubclass(field.type, Table):
         return build_table(field.type, fields.below(field.array_prefix))
@@ -116,8 +127,8 @@ def _read(field: Field, fields: "ArrayFields", read: Content, side_names: Mappin
         sizes = column.blocks(read)
         ends = np.cumsum([0, *(size**2 for size in sizes)])
         flat = fields.take(name, "f", (int(ends[-1]),), f"{len(sizes)} blocks")
-        parts = [flat[start:end] for start, end in itertools.pairwise(ends)]
-        return tuple(p.reshape(n, n) for p, n in zip(parts, sizes, strict=True))
+        flat_blocks = [flat[start:end] for start, end in itertools.pairwise(ends)]
+        return tuple(p.reshape(n, n) for p, n in zip(flat_blocks, sizes, strict=True))
     if field.type is float:
         return float(fields.take(name, "f", (), "values"))
     if field.type == tuple[str, ...]:
@@ -138,12 +149,15 @@ def _read(field: Field, fields: "ArrayFields", read: Content, side_names: Mappin
 
 
 def _names_of_counts(name: str) -> tuple[str, str]:
-    """The arrays of names and of numbers that stand for a dictionary."""
+    """Names of the two arrays that store a dictionary of numbers: its keys, and its values."""
     return f"{name.removesuffix('s')}_names", f"{name.removesuffix('s')}_values"
 
 
 def _array(values: Any, kind: str = "") -> np.ndarray:
-    """An array as files hold it: texts of a fixed width, which load without pickle."""
+    """Convert values to an array that a file can store without pickle.
+
+    Strings get a fixed width.
+    """
     array = np.asarray(values)
     if kind == "U" or array.dtype.kind in "OU":
         return array.astype(np.str_) if array.size else np.zeros(array.shape, "<U1")
@@ -151,9 +165,18 @@ def _array(values: Any, kind: str = "") -> np.ndarray:
 
 
 class ArrayFields:
-    """The arrays of one file, taken one by one and checked; the file is named in every error.
+    """The arrays of one file, with checked access by name. Every message names the file.
 
-    remedy : what to do about an array that is refused, at the end of every error.
+    Attributes
+    ----------
+    arrays : mapping of arrays
+        All arrays, keyed by name.
+    file : path
+        Name of the file, for messages.
+    prefix : str
+        Beginning of the array names that this object gives access to.
+    remedy : str
+        End of each message.
     """
 
     def __init__(
@@ -167,7 +190,7 @@ class ArrayFields:
         self._taken: set[str] = set()
 
     def has(self, field: Field) -> bool:
-        """Test for any array of a field."""
+        """True if the file contains an array of the field."""
         if field.type == dict[str, int]:
             return self.prefix + _names_of_counts(field.name)[0] in self.arrays
         if typing.get_origin(field.type) is dict or hasattr(field.type, "KIND"):
@@ -175,24 +198,41 @@ class ArrayFields:
         return self.prefix + field.name in self.arrays
 
     def below(self, prefix: str) -> "ArrayFields":
-        """The arrays whose names begin so."""
+        """Return access to the arrays whose names begin with a further prefix."""
         if not prefix:
             return self
         return ArrayFields(self.arrays, self.file, self.prefix + prefix, self.remedy)
 
     def every(self) -> list[str]:
-        """All names, which may themselves hold a /, as those of cameras do."""
+        """Names of all arrays, without the prefix. A name may contain "/", as camera names may."""
         return [n.removeprefix(self.prefix) for n in self.arrays if n.startswith(self.prefix)]
 
     def remaining(self) -> list[str]:
-        """The names that were not taken, and that are not below another."""
+        """Names without "/" of the arrays that `take` has not returned yet."""
         return [name for name in self.every() if name not in self._taken and "/" not in name]
 
     def take(self, name: str, kind: str, shape: tuple[int | None, ...], what: str) -> np.ndarray:
-        """An array of a kind ("f", "i", "b" or "U"), as float64, int64, bool or text.
+        """Return an array after a check of its type and shape.
 
-        None in `shape` is any length; `what` says in words what needs this shape. Raises
-        InputError where the file lacks it or holds another.
+        Parameters
+        ----------
+        name : str
+            Name of the array, without the prefix.
+        kind : str
+            Type: "f" for float64, "i" for int64, "b" for bool, "U" for strings.
+        shape : tuple
+            Required shape; None accepts any length.
+        what : str
+            Noun in the message "has shape (2,), but `what` need (3,)", such as "3 views".
+
+        Returns
+        -------
+        array
+
+        Raises
+        ------
+        InputError
+            If the array is missing or has another type or shape.
         """
         full_name = self.prefix + name
         if full_name not in self.arrays:
@@ -214,7 +254,10 @@ class ArrayFields:
         return array.astype(_DTYPES[kind])
 
     def expect(self, name: str, good: Any, problem: str) -> None:
-        """Raise InputError where not all is good, and name the first row that is not."""
+        """Raise `InputError` if an element of `good` is False; the message names its first row.
+
+        `name` is the array and `problem` the end of the message.
+        """
         good = np.asarray(good)
         if good.all():
             return
@@ -223,7 +266,7 @@ class ArrayFields:
         raise self.error(name, where + problem)
 
     def error(self, name: str, problem: str) -> InputError:
-        """An error that names the file and the array."""
+        """Return an `InputError` that names file and array; `problem` completes the sentence."""
         return InputError(f'{self.file}: "{self.prefix}{name}" {problem}: {self.remedy}.')
 
 

@@ -1,4 +1,4 @@
-"""Videos of cameras in step: their frames by moments, and as folders of PNG files."""
+"""Synchronous videos of several cameras: frames at common moments, also as PNG files."""
 
 import contextlib
 import os
@@ -21,10 +21,20 @@ _FFMPEG_LOG = "OPENCV_FFMPEG_LOGLEVEL", "-8"
 
 
 class Video(NamedTuple):
-    """Properties that a video file states.
+    """A video file and the properties that its header states.
 
-    frames : how many, 0 where it does not say; the last may be missing. size_px : (width, height).
-    turned_deg : by how much it asks to be turned when it is shown.
+    Attributes
+    ----------
+    file : Path
+        The file.
+    frames : int
+        Number of frames; 0 if unknown. The last frame may be missing.
+    frames_per_s : float
+        Frame rate.
+    size_px : (width, height)
+        Size of the frames.
+    turned_deg : int
+        Rotation, degrees, that a player applies. trinoc does not apply it.
     """
 
     file: Path
@@ -35,8 +45,10 @@ class Video(NamedTuple):
 
 
 def open_videos(files: Mapping[str, Path]) -> dict[str, Video]:
-    """The video of each camera. Raises InputError for what is no video with a frame, and for videos
-    of different rates."""
+    """Read the header of each camera's video.
+
+    Raise `InputError` for a file without a readable frame, and for videos of different frame rates.
+    """
     videos = {name: _read_heading(file) for name, file in files.items()}
     first = next(iter(videos.values()))
     for other in videos.values():
@@ -50,12 +62,12 @@ def open_videos(files: Mapping[str, Path]) -> dict[str, Video]:
 
 
 def compare_videos(videos: Sequence[Video]) -> list[str]:
-    """Warnings on videos of one rig, a sentence each: lengths, sizes, orientation."""
-    remarks = []
+    """Return warnings about the videos of one rig: unequal lengths or sizes, rotation tags."""
+    warning_texts = []
     counted = [video for video in videos if video.frames]
     shortest, longest = (f(counted or videos, key=lambda video: video.frames) for f in (min, max))
     if longest.frames - shortest.frames > 1:
-        remarks.append(
+        warning_texts.append(
             f"{longest.file} has {longest.frames} frames and {shortest.file} {shortest.frames}: "
             "those of equal numbers are taken for one moment, so see that all begin at one moment."
         )
@@ -63,26 +75,39 @@ def compare_videos(videos: Sequence[Video]) -> list[str]:
     other = next((video for video in videos if video.size_px != first.size_px), None)
     if other is not None:
         sizes = ["{} x {} px".format(*video.size_px) for video in (first, other)]
-        remarks.append(
+        warning_texts.append(
             f"{first.file} is {sizes[0]} and {other.file} {sizes[1]}: see that these are the sizes "
             "that the cameras were calibrated for."
         )
-    remarks += [
+    warning_texts += [
         f"{video.file} asks to be turned by {video.turned_deg} degrees when it is shown: its "
         "frames are taken as the sensor had them, as pictures of a camera are."
         for video in videos
         if video.turned_deg
     ]
-    return remarks
+    return warning_texts
 
 
 def read_moments(
     videos: Mapping[str, Video], warn: Callable[[str], None], *, step: int = 1
 ) -> Iterator[tuple[int, Mapping[str, UInt8[np.ndarray, "..."]]]]:
-    """Every so many moments: its number from 0 on, and of each camera the frame of that time.
+    """Iterate over the moments at which all videos have a frame.
 
-    A moment that one video lacks is left out, and the first video that ends ends all. Frames are as
-    OpenCV delivers them. warn : takes a sentence on what could not be read.
+    A moment is a time step of the common frame rate. The iteration ends with the shortest video.
+
+    Parameters
+    ----------
+    videos : dict of Video
+        Video of each camera.
+    warn : callable
+        Receives a sentence about frames that could not be read.
+    step : int
+        Interval between moments: 1 for all.
+
+    Yields
+    ------
+    (int, dict of arrays)
+        Number of the moment, from 0, and the frame of each camera as OpenCV returns it.
     """
     rate = common_rate(videos)
     with contextlib.ExitStack() as stack:
@@ -90,35 +115,35 @@ def read_moments(
         for reader in readers.values():
             stack.callback(reader.capture.release)
         lacking: Counter[str] = Counter()
-        due = 0
+        next_number = 0
         while _find_moment(readers, lacking):
             number = next(iter(readers.values())).number
-            if number >= due:
+            if number >= next_number:
                 yield number, {name: r.capture.retrieve()[1] for name, r in readers.items()}
-                due = number - number % step + step
+                next_number = number - number % step + step
         for name, video in videos.items():
             _expect_whole(video, readers[name], lacking[name], warn)
 
 
 def common_rate(videos: Mapping[str, Video]) -> float:
-    """Moments a second: a video that dropped frames states fewer."""
+    """Largest frame rate of the videos, 1/s. A video with dropped frames states a smaller rate."""
     return max(video.frames_per_s for video in videos.values())
 
 
 def _find_moment(readers: "Mapping[str, _VideoReader]", lacking: Counter[str]) -> bool:
-    """Go to the next moment that all videos have; False where one ends.
+    """Advance all readers to the next common moment; return False if a video has ended.
 
-    lacking : is added to, of each video the moments that it lacks.
+    `lacking` counts for each video the moments at which it has no frame, and is updated.
     """
-    behind = list(readers)
-    while behind:
-        went_on = [readers[name].advance() for name in behind]
-        if not all(went_on):
+    late_names = list(readers)
+    while late_names:
+        has_frame = [readers[name].advance() for name in late_names]
+        if not all(has_frame):
             return False
         latest = max(reader.number for reader in readers.values())
-        behind = [name for name, reader in readers.items() if reader.number < latest]
-        if behind:
-            lacking.update(set(readers) - set(behind))
+        late_names = [name for name, reader in readers.items() if reader.number < latest]
+        if late_names:
+            lacking.update(set(readers) - set(late_names))
     return True
 
 
@@ -139,14 +164,14 @@ def _expect_whole(
 
 
 class _VideoReader:
-    """One video, frame by frame; `number` is that of its moment, by its clock."""
+    """Reader of one video; `number` is the moment of the current frame, from its time stamp."""
 
     def __init__(self, file: Path, rate: float) -> None:
         self.capture, self._rate = _open(file), rate
         self.number, self.count, self.has_ended, self._begin_ms = -1, 0, False, 0.0
 
     def advance(self) -> bool:
-        """Go to the next frame. Returns False at the end of the video or at a damaged frame."""
+        """Go to the next frame. Return False at the end of the video or at a damaged frame."""
         if not self.capture.grab():
             self.has_ended = True
             return False
@@ -177,7 +202,7 @@ def _read_heading(file: Path) -> Video:
         if not capture.grab():
             raise InputError(f"{file} holds no frame: record it again, or copy it again.")
         height, width = capture.retrieve()[1].shape[:2]
-        rate, frames, turned = (
+        rate, frames, rotation_deg = (
             capture.get(each)
             for each in (
                 cv2.CAP_PROP_FPS,
@@ -188,7 +213,7 @@ def _read_heading(file: Path) -> Video:
     finally:
         capture.release()
     rate = rate if 0.0 < rate < 1e5 else _FRAMES_PER_S
-    return Video(file, max(0, int(frames)), rate, (width, height), int(turned) % 360)
+    return Video(file, max(0, int(frames)), rate, (width, height), int(rotation_deg) % 360)
 
 
 def _open(file: Path) -> Any:
@@ -201,8 +226,10 @@ def _open(file: Path) -> Any:
 
 
 def to_picture(frame: UInt8[np.ndarray, "..."]) -> UInt8[np.ndarray, "..."]:
-    """A frame as files are read: red, green, blue, or grey where it has no colour; OpenCV delivers
-    blue, green, red."""
+    """Convert a frame of OpenCV (blue, green, red) to an image as `read_image` returns it.
+
+    The image has red, green, blue, or grey levels if the three channels are equal.
+    """
     if frame.ndim == 2:
         return frame
     blue, green, red = np.moveaxis(frame, 2, 0)
@@ -212,7 +239,7 @@ def to_picture(frame: UInt8[np.ndarray, "..."]) -> UInt8[np.ndarray, "..."]:
 
 
 def expect_folder_name(camera: str) -> None:
-    """Raise InputError for the name of a camera that its folder cannot have."""
+    """Raise `InputError` for a camera name that cannot be the name of a folder."""
     if Path(camera).name != camera or camera.startswith("."):
         raise InputError(f'"{camera}" is no name of a folder: name the camera otherwise.')
 
@@ -220,10 +247,28 @@ def expect_folder_name(camera: str) -> None:
 def write_frames(
     videos: Mapping[str, Video], folder: Path, every_s: float, warn: Callable[[str], None]
 ) -> int:
-    """Write one frame of each camera in so many seconds, as left/000123.png, and count them.
+    """Write frames of all cameras as images such as left/000123.png; return the number of moments.
 
-    folder : new or empty. every_s : 0 for all frames. warn : as of `read_moments`.
-    Raises InputError for a folder that holds files and for names that no folder has.
+    Parameters
+    ----------
+    videos : dict of Video
+        Video of each camera.
+    folder : Path
+        New or empty folder. Each camera gets a folder in it.
+    every_s : float
+        Time between two written moments, s; 0 for all.
+    warn : callable
+        Receives a sentence about frames that could not be read.
+
+    Returns
+    -------
+    int
+        Number of written moments.
+
+    Raises
+    ------
+    InputError
+        If the folder contains files, or a camera name cannot be a folder name.
     """
     for name in videos:
         expect_folder_name(name)

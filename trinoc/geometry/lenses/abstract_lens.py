@@ -33,15 +33,18 @@ _SLACK_PX = 1e-6
 class RadialPart(NamedTuple):
     """Radial part of a distortion: a ray at r has the image radius r N(r^2) / D(r^2).
 
+    r is the angle between the ray and the optical axis in rad, or the tangent of this angle. The
+    image radius is in focal lengths.
+
     Attributes
     ----------
     numerator, denominator : tuple of float
-        Coefficients of N and D, highest power of r^2 first; the last one is 1.
+        Coefficients of the polynomials N and D, highest power of r^2 first; the last one is 1.
     by_angle : bool
-        True: r is the angle from the optical axis, rad. False: its tangent.
+        True: r is the angle. False: r is the tangent of the angle.
     tangential : tuple of float
-        Coefficients of a bound on the derivative of all other distortion, highest power of r first;
-        the last one is 0.
+        Polynomial in r that bounds the derivative of the remaining distortion (tangential, prism)
+        by r. Coefficients, highest power of r first; the last one is 0.
     """
 
     numerator: tuple[float, ...]
@@ -51,9 +54,10 @@ class RadialPart(NamedTuple):
 
     @property
     def fold(self) -> float:
-        """Smallest r at which the distortion folds in some direction, or at which D is 0.
+        """Smallest r at which the image radius stops growing in some direction, or D becomes 0.
 
-        Infinite without a fold.
+        Infinite if the distortion does not fold. r is as in the class: an angle in rad, or a
+        tangent.
         """
         # Coefficients near zero put the fold beyond what floats hold.
         with np.errstate(all="ignore"):
@@ -66,18 +70,21 @@ class RadialPart(NamedTuple):
             return float(min(growth, np.sqrt(_smallest_root(below))))
 
     def radius(self, r: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Image radius r N(r^2) / D(r^2), in focal lengths."""
+        """Image radius r N(r^2) / D(r^2) of rays at r, in focal lengths."""
         with np.errstate(all="ignore"):
             return r * np.polyval(self.numerator, r * r) / np.polyval(self.denominator, r * r)
 
     def slope(self, r: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Derivative of `radius`."""
+        """Derivative of `radius` by r."""
         with np.errstate(all="ignore"):
             return np.polyval(self._slope, r * r) / np.polyval(self.denominator, r * r) ** 2
 
     @property
     def _slope(self) -> Float[np.ndarray, "k"]:
-        """Numerator of the derivative of the radius, in powers of r^2; the denominator is D^2."""
+        """Numerator of the derivative `slope`: coefficients (k,), highest power of r^2 first.
+
+        The denominator is D^2.
+        """
         above, below = np.array(self.numerator), np.array(self.denominator)
         change = np.polysub(
             np.polymul(np.polyder(above), below), np.polymul(above, np.polyder(below))
@@ -89,8 +96,9 @@ class RadialPart(NamedTuple):
 def _valid_radius(radial: RadialPart, steps: int, least_slope: float) -> float:
     """Largest image radius, in focal lengths, at which rays and pixels are one to one.
 
-    Newton's method must also map each pixel back to its ray, in all directions. Infinite without a
-    fold. `steps` and `least_slope` are the settings of the lens's Newton's method.
+    Up to this radius, Newton's method also finds the ray of every pixel, in all directions.
+    Infinite if the distortion does not fold. `steps` and `least_slope` are the settings
+    `AbstractLens.newton`.
     """
     fold, (low, limit) = radial.fold, (0.0, np.pi) if radial.by_angle else (-np.inf, np.inf)
     if not fold < limit:
@@ -117,7 +125,7 @@ def _valid_radius(radial: RadialPart, steps: int, least_slope: float) -> float:
 
 
 def _in_r(polynomial: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
-    """Convert a polynomial in r^2 to one in r."""
+    """Coefficients (2 k - 1,) in powers of r of a polynomial (k,) in powers of r^2."""
     of_r = np.zeros(2 * len(polynomial) - 1)
     of_r[::2] = polynomial
     return of_r
@@ -132,12 +140,13 @@ def _smallest_root(polynomial: Float[np.ndarray, "k"]) -> float:
 
 
 class AbstractLens(Value):
-    """A lens of one model. All fields are arrays, so that lenses of one model can be stacked.
+    """A lens of one model: the mapping from rays of the camera frame to pixels.
 
-    A lens bends rays (`distort`) and then maps them to pixels by the calibration matrix K. A new
-    model is a subclass with `distort`, `undistort` and the class variables below, and a line in
-    `lenses.registry`. Rays are (x, y, z) in the camera frame, of any length. So a lens may image
-    rays beyond 90 degrees from the axis.
+    A lens distorts a ray (`distort`) and then maps the result to a pixel by the calibration matrix
+    K. Rays are (x, y, z) in the camera frame, of any length, so that a lens may image rays beyond
+    90 degrees from the axis. All fields are arrays, so that lenses of one model can be stacked. A
+    new model is a subclass with `distort`, `undistort` and the class variables below, and a line in
+    `lenses.registry`.
 
     Attributes
     ----------
@@ -146,7 +155,7 @@ class AbstractLens(Value):
     principal_point_px : (2,)
         Pixel of the optical axis.
     skew_px : ()
-        Entry K[0, 1]; 0 for every real sensor. Only `lenses.skewed` estimates it.
+        Entry K[0, 1]; 0 for every real sensor. Only lenses of `lenses.skewed` estimate the skew.
     coefficients : (c,)
         Coefficients of the distortion.
 
@@ -164,13 +173,13 @@ class AbstractLens(Value):
         For each coefficient the power p of its distortion, which grows as r^(1 + p). r is the
         distance from the optical axis in focal lengths.
     coefficient_counts : tuple of int
-        Usual numbers of fitted coefficients; each number selects that many first names.
+        Numbers of coefficients that a fit may estimate: the first n of `coefficient_names`.
     dispensable : tuple of str
-        Coefficients to fix at 0, in this order, if the images do not determine all.
+        Coefficients that a fit may fix at 0, in this order, if the images do not determine all.
     zero_is_ideal : bool
         True if the lens with all coefficients zero is a `Pinhole`.
     never_fitted : tuple of str
-        Coefficients that define the domain of others. They stay fixed.
+        Coefficients that define the domain of other coefficients. No fit estimates them.
     newton : (int, float)
         Number of Newton steps in `undistort`, and the smallest slope that a step divides by.
     """
@@ -192,11 +201,11 @@ class AbstractLens(Value):
 
     @abc.abstractmethod
     def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
-        """Distorted normalised coordinates of a ray: K^-1 (u, v, 1) of its pixel, (2,)."""
+        """Distorted normalised coordinates (2,) of a ray. K maps them to the pixel of the ray."""
 
     @abc.abstractmethod
     def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
-        """A ray (3,), of any length, that `distort` maps to these coordinates."""
+        """Return a ray (3,), of any length, that `distort` maps to the coordinates `distorted`."""
 
     @property
     def has_distortion(self) -> bool:
@@ -206,14 +215,14 @@ class AbstractLens(Value):
     def radial_part(self) -> RadialPart | None:
         """Radial part of the distortion; None for a pinhole or a model that does not provide it.
 
-        The lens must not be traced.
+        Not usable inside `jit`: the parameters must be numbers.
         """
         return None
 
     def fold_angle_rad(self) -> float:
         """Angle from the optical axis up to which rays and image points are one to one.
 
-        Beyond it the radial distortion folds, or no ray exists.
+        At larger angles the radial distortion folds, or no ray exists.
         """
         radial = self.radial_part()
         if radial is None:
@@ -223,9 +232,9 @@ class AbstractLens(Value):
     def valid_radius_px(self) -> float:
         """Distance from the principal point, px, up to which rays and pixels are one to one.
 
-        Infinite if the distortion never folds. The limit is the radius of a ray at 95 % of the
-        fold's distance from the axis. Nearer to the fold, Newton's method does not converge to the
-        ray. The lens must not be traced.
+        Infinite if the distortion never folds. Otherwise the distance at which a ray at 95 % of
+        `RadialPart.fold` is imaged. Nearer to the fold, Newton's method does not converge. Not
+        usable inside `jit`: the parameters must be numbers.
         """
         radial = self.radial_part()
         radius = float("inf") if radial is None else _valid_radius(radial, *self.newton)
@@ -239,9 +248,9 @@ class AbstractLens(Value):
     def mask_pixel(
         self, uv_px: Float[ArrayLike, "*n 2"], values: Float[ArrayLike, "*n k"]
     ) -> Float[ArrayLike, "*n k"]:
-        """Replace values computed for pixels by NaN beyond `valid_radius_px`.
+        """Replace values that belong to pixels by NaN if the pixels lie beyond `valid_radius_px`.
 
-        Values of a traced lens are returned unchanged, because its fold is unknown.
+        Inside `jit` the values are returned unchanged, because the fold is not computed there.
         """
         if is_traced(self) or self.valid_radius_px() == np.inf:
             return values
@@ -251,19 +260,19 @@ class AbstractLens(Value):
     def mask_ray(
         self, ray_cam: Float[ArrayLike, "*n 3"], uv_px: Float[ArrayLike, "*n 2"]
     ) -> Float[ArrayLike, "*n 2"]:
-        """Replace pixels by NaN if their rays lie beyond the fold.
+        """Replace pixels by NaN if the rays that they image lie beyond the fold.
 
-        Pixels of a traced lens are returned unchanged, because its fold is unknown.
+        Inside `jit` the pixels are returned unchanged, because the fold is not computed there.
         """
         if is_traced(self) or self.valid_radius_px() == np.inf:
             return uv_px
         xp = array_namespace(ray_cam, uv_px)
         cosine = np.cos(self.fold_angle_rad())
-        before = ray_cam[..., 2] > cosine * xp.sqrt((ray_cam * ray_cam).sum(-1))
-        return xp.where((before & self.is_valid_pixel(uv_px))[..., None], uv_px, np.nan)
+        is_inside_fold = ray_cam[..., 2] > cosine * xp.sqrt((ray_cam * ray_cam).sum(-1))
+        return xp.where((is_inside_fold & self.is_valid_pixel(uv_px))[..., None], uv_px, np.nan)
 
     def is_valid_pixel(self, uv_px: Float[ArrayLike, "*n 2"]) -> Bool[ArrayLike, "*n"]:
-        """Test which pixels lie within `valid_radius_px`, (n,)."""
+        """Return True for pixels within `valid_radius_px` of the principal point, (n,)."""
         offset = uv_px - self.principal_point_px
         return (offset * offset).sum(-1) <= (self.valid_radius_px() + _SLACK_PX) ** 2
 
@@ -277,68 +286,68 @@ class AbstractLens(Value):
         return xp.stack([xp.stack(row) for row in rows])
 
     def project_ray(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
-        """Pixel (2,) that images a ray of the camera frame."""
+        """Pixel (2,) that images a ray of the camera frame, lens distortion included."""
         return self.affine(self.distort(ray_cam))
 
     def unproject(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
-        """Unit ray (3,), in the camera frame, of a pixel."""
+        """Return the unit ray (3,) of a pixel, in the camera frame."""
         ray = self.undistort(self.affine_inverse(uv_px))
         return ray / jnp.sqrt(ray @ ray)
 
     def pixel_from_normalised(self, normalised: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Pixel (2,) that images the ray (x/z, y/z, 1)."""
+        """Pixel (2,) that images the ray (x/z, y/z, 1), lens distortion included."""
         return self.project_ray(ray_of_normalised(normalised))
 
     def normalised_from_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Coordinates (x/z, y/z) of the ray of a pixel. The ray must have z > 0."""
+        """Normalised coordinates (x/z, y/z) of the ray of a pixel. The ray must have z > 0."""
         ray = self.undistort(self.affine_inverse(uv_px))
         return ray[:2] / ray[2]
 
     def undistort_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Pixel (2,) that would image the same ray without distortion."""
+        """Pixel (2,) at which the same ray would be imaged without distortion."""
         if not self.has_distortion:
             return uv_px
         return self.affine(self.normalised_from_pixel(uv_px))
 
     def distort_pixel(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Inverse of `undistort_pixel`."""
+        """Pixel (2,) of the real image for an undistorted pixel; inverse of `undistort_pixel`."""
         if not self.has_distortion:
             return uv_px
         return self.pixel_from_normalised(self.affine_inverse(uv_px))
 
     def affine(self, normalised: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Pixel of normalised coordinates by the calibration matrix K alone, without distortion."""
+        """Pixel (2,) to which the calibration matrix K alone maps normalised coordinates."""
         skewed = jnp.stack([self.skew_px * normalised[1], jnp.zeros_like(normalised[1])])
         return self.focal_length_px * normalised + skewed + self.principal_point_px
 
     def affine_inverse(self, uv_px: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Inverse of `affine`."""
+        """Normalised coordinates (2,) that K maps to a pixel; inverse of `affine`."""
         (fu, fv), (cu, cv) = self.focal_length_px, self.principal_point_px
         y = (uv_px[1] - cv) / fv
         return jnp.stack([(uv_px[0] - cu - self.skew_px * y) / fu, y])
 
     @property
     def parameters(self) -> Float[ArrayLike, "q"]:
-        """Values of `parameter_names`."""
+        """Focal lengths, principal point, coefficients, in the order of `parameter_names`, (q,)."""
         xp = array_namespace(self)
         return xp.concatenate([self.focal_length_px, self.principal_point_px, self.coefficients])
 
     @classmethod
     def from_parameters(cls, values: Float[ArrayLike, "q"]) -> "AbstractLens":
-        """Lens with skew 0 from the values of `parameter_names`."""
+        """Create a lens with skew 0 from values (q,) in the order of `parameter_names`."""
         affine = len(AFFINE_PARAMETERS)
         return cls(values[:2], values[2:affine], np.zeros((), values.dtype), values[affine:])
 
     def with_parameters(self, values: Float[ArrayLike, "q"]) -> "AbstractLens":
-        """Copy of this lens with other values of `parameter_names`."""
+        """Copy of this lens with other parameter values (q,), in the order of `parameter_names`."""
         affine = len(AFFINE_PARAMETERS)
         return type(self)(values[:2], values[2:affine], self.skew_px, values[affine:])
 
     def parameter_scales(self, image_size_px: tuple[int, int]) -> Float[ArrayLike, "q"]:
-        """Changes of `parameters` that displace the image corners by similar amounts, (q,).
+        """Step size of each parameter that moves the image corners by similar amounts, (q,).
 
-        A step s in these units displaces a corner by about s times its distance from the principal
-        point. For the principal point the displacement is s focal lengths.
+        A step of s times these sizes moves a corner by about s times its distance from the
+        principal point. A step of the principal point moves it by s focal lengths.
         """
         xp = array_namespace(self)
         fu, fv = self.focal_length_px[0], self.focal_length_px[1]
@@ -347,14 +356,17 @@ class AbstractLens(Value):
         return xp.stack([fu, fv, fu, fv, *powers])
 
     def retract(self, delta: Float[ArrayLike, "k"]) -> "AbstractLens":
-        """Copy of this lens with a change added to the first k of `parameters`."""
+        """Copy of this lens with the step `delta` (k,) added to the first k of `parameters`."""
         xp = array_namespace(self, delta)
         missing = len(self.parameter_names) - delta.shape[0]
         change = xp.concatenate([delta, xp.zeros(missing, delta.dtype)])
         return self.with_parameters(self.parameters + change)
 
     def with_focal_factor(self, factor: Float[ArrayLike, "2"]) -> "AbstractLens":
-        """Copy of this lens with both focal lengths multiplied; the skew scales with the first."""
+        """Copy of this lens with the two focal lengths multiplied by the two numbers of `factor`.
+
+        The skew is multiplied by the first number.
+        """
         return type(self)(
             self.focal_length_px * factor,
             self.principal_point_px,
@@ -368,14 +380,17 @@ class AbstractPlaneLens(AbstractLens):
 
     @abc.abstractmethod
     def distort_ideal(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Distorted normalised coordinates from ideal ones (x/z, y/z), (2,)."""
+        """Distorted normalised coordinates (2,) of the undistorted ones, (x/z, y/z)."""
 
     def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
-        """Normalised coordinates of the ray after the distortion, (2,)."""
+        """Distorted normalised coordinates (2,) of a ray."""
         return self.distort_ideal(ray_cam[:2] / ray_cam[2])
 
     def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
-        """Ray (x, y, 1), by Newton's method. `inverse_in_plane` describes its domain."""
+        """Ray (x, y, 1) that `distort` maps to `distorted`, by `inverse_in_plane`.
+
+        The result is meaningless beyond the fold of the distortion.
+        """
         return ray_of_normalised(inverse_in_plane(self.distort_ideal, distorted))
 
 

@@ -38,7 +38,10 @@ class KannalaBrandt(AbstractLens):
     newton: ClassVar[tuple[int, float]] = (_NEWTON_STEPS, _LEAST_SLOPE)
 
     def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
-        """Image radius along the direction of (x, y), in focal lengths, (2,)."""
+        """Image point (2,) of a ray, in focal lengths from the principal point.
+
+        The direction is that of (x, y); the distance is the polynomial in the angle.
+        """
         across, forward = ray_cam[:2], ray_cam[2]
         square = across @ across
         angle_per_across = _angle_per_radius(square, forward)
@@ -46,7 +49,7 @@ class KannalaBrandt(AbstractLens):
         return across * (angle_per_across * _radius_per_angle(angle_square, self.coefficients))
 
     def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
-        """Unit ray (3,); its angle comes from Newton's method."""
+        """Unit ray (3,) of an image point; its angle from the axis is found by Newton's method."""
         square = distorted @ distorted
         on_axis = square < 1e-30
         radius = jnp.sqrt(jnp.where(on_axis, 1.0, square))
@@ -55,7 +58,7 @@ class KannalaBrandt(AbstractLens):
         return jnp.concatenate([across, jnp.where(on_axis, 1.0, jnp.cos(angle))[None]])
 
     def radial_part(self) -> RadialPart:
-        """The polynomial in the angle."""
+        """Radial part of the distortion: the polynomial in the angle."""
         falling = np.asarray(self.coefficients, dtype=np.float64)[::-1].tolist()
         return RadialPart((*falling, 1.0), by_angle=True)
 
@@ -63,9 +66,9 @@ class KannalaBrandt(AbstractLens):
 def _angle_per_radius(
     square: Float[ArrayLike, ""], forward: Float[ArrayLike, ""]
 ) -> Float[ArrayLike, ""]:
-    """Angle over distance from the axis, atan2(a, z) / a, of a ray with a^2 = `square`.
+    """Angle from the axis divided by the distance a from the axis, atan2(a, z) / a, of a ray.
 
-    Smooth on the optical axis.
+    `square` is a^2 = x^2 + y^2 and `forward` is z. The result is smooth on the optical axis, a = 0.
     """
     is_near_axis = (forward > 0) & (square < _NEAR_AXIS * forward * forward)
     safe = jnp.where(is_near_axis, 1.0, forward)
@@ -79,7 +82,10 @@ def _angle_per_radius(
 def _radius_per_angle(
     angle_square: Float[ArrayLike, ""], coefficients: Float[ArrayLike, "4"]
 ) -> Float[ArrayLike, ""]:
-    """Image radius over angle: 1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8."""
+    """Image radius divided by the angle t: 1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8.
+
+    `angle_square` is t^2.
+    """
     k1, k2, k3, k4 = (coefficients[i] for i in range(4))
     t2 = angle_square
     return 1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))
@@ -88,13 +94,16 @@ def _radius_per_angle(
 def _angle_of_radius(
     radius: Float[ArrayLike, ""], coefficients: Float[ArrayLike, "4"]
 ) -> Float[ArrayLike, ""]:
-    """Angle from the axis, 0 to pi rad, of an image radius, by Newton's method."""
+    """Angle from the axis, 0 to pi rad, of a ray with a given image radius, by Newton's method.
+
+    `radius` is in focal lengths.
+    """
     k1, k2, k3, k4 = (coefficients[i] for i in range(4))
 
     def step(_: ArrayLike, angle: Float[ArrayLike, ""]) -> Float[ArrayLike, ""]:
         t2 = angle * angle
         slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
-        off = angle * _radius_per_angle(t2, coefficients) - radius
-        return jnp.clip(angle - off / jnp.maximum(slope, _LEAST_SLOPE), 0.0, jnp.pi)
+        residual = angle * _radius_per_angle(t2, coefficients) - radius
+        return jnp.clip(angle - residual / jnp.maximum(slope, _LEAST_SLOPE), 0.0, jnp.pi)
 
     return newton_iterations(step, jnp.clip(radius, 0.0, jnp.pi), _NEWTON_STEPS)

@@ -19,9 +19,9 @@ def inverse_in_plane(
     image: Float[ArrayLike, "2"],
     steps: int = NEWTON_STEPS,
 ) -> Float[ArrayLike, "2"]:
-    """Return the point that `mapping`, a deformation near the identity, maps to `image`.
+    """Return the point (2,) that `mapping`, a deformation near the identity, maps to `image`.
 
-    Newton's method converges to rounding error where a lens is one to one between the optical axis
+    Newton's method converges to rounding error if the lens is one to one between the optical axis
     and the point. Beyond the fold of the distortion the result is meaningless. Derivatives by
     `image` and by the parameters of `mapping` are exact up to the third order.
     """
@@ -42,9 +42,10 @@ def newton_iterations(
     start: Float[ArrayLike, "*n"],
     steps: int,
 ) -> Float[ArrayLike, "*n"]:
-    """Result of a fixed number of Newton steps, with derivatives of the solution.
+    """Apply `step` a fixed number of times, starting at `start`; return the last iterate.
 
-    Only the last two steps are differentiated.
+    `step` maps (iteration index, iterate) to the next iterate. Automatic differentiation passes
+    through the last two steps only, which is enough for derivatives up to the third order.
     """
     before = jax.lax.fori_loop(0, steps - _DIFFERENTIATED_STEPS, step, start)
     return jax.lax.fori_loop(0, _DIFFERENTIATED_STEPS, step, jax.lax.stop_gradient(before))

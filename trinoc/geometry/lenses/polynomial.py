@@ -24,7 +24,7 @@ from trinoc.numerics.precision import ArrayLike
 
 
 class Pinhole(AbstractLens):
-    """An ideal lens without coefficients: images of straight lines are straight."""
+    """A lens without distortion: images of straight lines are straight."""
 
     model: ClassVar[str] = "none"
     coefficient_names: ClassVar[tuple[str, ...]] = ()
@@ -34,11 +34,11 @@ class Pinhole(AbstractLens):
     dispensable: ClassVar[tuple[str, ...]] = ()
 
     def distort(self, ray_cam: Float[ArrayLike, "3"]) -> Float[ArrayLike, "2"]:
-        """Normalised coordinates (x/z, y/z) of the ray, unchanged."""
+        """Normalised coordinates (x/z, y/z) of a ray, (2,)."""
         return ray_cam[:2] / ray_cam[2]
 
     def undistort(self, distorted: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
-        """Ray (x, y, 1) of normalised coordinates."""
+        """Ray (x, y, 1) of normalised coordinates (x, y)."""
         return ray_of_normalised(distorted)
 
 
@@ -53,7 +53,7 @@ class BrownConrady(AbstractPlaneLens):
     dispensable: ClassVar[tuple[str, ...]] = ("k3", "k2")
 
     def distort_ideal(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Coordinates after radial and tangential distortion, (2,)."""
+        """Normalised coordinates (2,) after radial and tangential distortion."""
         k1, k2, p1, p2, k3 = (self.coefficients[i] for i in range(5))
         r2 = ideal[0] * ideal[0] + ideal[1] * ideal[1]
         return radial_and_tangential(ideal, 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), p1, p2)
@@ -70,7 +70,7 @@ def radial_and_tangential(
     p1: Float[ArrayLike, ""],
     p2: Float[ArrayLike, ""],
 ) -> Float[ArrayLike, "2"]:
-    """Scale normalised coordinates by the factor `radial` and add tangential distortion, (2,)."""
+    """Multiply normalised coordinates by the factor `radial`, add tangential distortion, (2,)."""
     x, y = ideal[0], ideal[1]
     along = radial + 2 * (p2 * x + p1 * y)
     return ideal * along + jnp.stack([p2, p1]) * (x * x + y * y)
@@ -81,7 +81,7 @@ _POWERS = (2, 4, 1, 1, 6, 2, 4, 6)
 
 
 class Rational(AbstractPlaneLens):
-    """Radial distortion as a quotient of two cubics in r^2, with tangential (p1, p2)."""
+    """A lens whose radial distortion is a quotient of two cubics in r^2, with tangential p1, p2."""
 
     model: ClassVar[str] = "rational"
     coefficient_names: ClassVar[tuple[str, ...]] = _RATIONAL
@@ -91,16 +91,19 @@ class Rational(AbstractPlaneLens):
     dispensable: ClassVar[tuple[str, ...]] = ("k6", "k5", "k4", "k3", "k2")
 
     def distort_ideal(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Coordinates after the radial quotient and tangential distortion, (2,)."""
+        """Normalised coordinates (2,) after the radial quotient and tangential distortion."""
         return _by_quotient(ideal, self.coefficients)
 
     def radial_part(self) -> RadialPart:
-        """Radial quotient, with a bound on the tangential part."""
+        """Radial part: the quotient, with a bound on the tangential part."""
         return _radial_part(np.asarray(self.coefficients, dtype=np.float64).tolist())
 
 
 class ThinPrism(AbstractPlaneLens):
-    """`Rational` plus OpenCV's thin prism: (s1 r^2 + s2 r^4, s3 r^2 + s4 r^4) is added."""
+    """A `Rational` lens with OpenCV's thin-prism distortion added.
+
+    The thin prism adds (s1 r^2 + s2 r^4, s3 r^2 + s4 r^4) to the distorted coordinates.
+    """
 
     model: ClassVar[str] = "thin_prism"
     coefficient_names: ClassVar[tuple[str, ...]] = (*_RATIONAL, "s1", "s2", "s3", "s4")
@@ -113,14 +116,14 @@ class ThinPrism(AbstractPlaneLens):
     )
 
     def distort_ideal(self, ideal: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        """Coordinates after radial quotient, tangential distortion and thin prism, (2,)."""
+        """Normalised coordinates (2,) after radial, tangential and thin-prism distortion."""
         s1, s2, s3, s4 = (self.coefficients[i] for i in range(8, 12))
         r2 = ideal[0] * ideal[0] + ideal[1] * ideal[1]
         prism = jnp.stack([r2 * (s1 + r2 * s2), r2 * (s3 + r2 * s4)])
         return _by_quotient(ideal, self.coefficients) + prism
 
     def radial_part(self) -> RadialPart:
-        """Radial quotient, with a bound on the tangential part and the prism."""
+        """Radial part: the quotient, with a bound on the tangential part and the prism."""
         values = np.asarray(self.coefficients, dtype=np.float64).tolist()
         s1, s2, s3, s4 = values[8:]
         radial = _radial_part(values)
@@ -131,7 +134,7 @@ class ThinPrism(AbstractPlaneLens):
 def _by_quotient(
     ideal: Float[ArrayLike, "2"], coefficients: Float[ArrayLike, "c"]
 ) -> Float[ArrayLike, "2"]:
-    """Coordinates distorted by the first eight coefficients, (2,)."""
+    """Normalised coordinates (2,) after the distortion of the rational model."""
     k1, k2, p1, p2, k3, k4, k5, k6 = (coefficients[i] for i in range(8))
     r2 = ideal[0] * ideal[0] + ideal[1] * ideal[1]
     above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))

@@ -24,7 +24,7 @@ DEFAULT_LENS = "default"
 
 
 def lens_model(name: str) -> type[AbstractLens]:
-    """Return the lens class of a model name. Raises InputError for an unknown name."""
+    """Return the lens class for a model name. Raise `InputError` for an unknown name."""
     if not isinstance(name, str) or name not in LENS_MODELS:
         raise InputError(
             f"The lens model is {name!r}, but must be one of {', '.join(LENS_MODELS)}."
@@ -35,9 +35,9 @@ def lens_model(name: str) -> type[AbstractLens]:
 def promote_lens(
     lens: AbstractLens, model: type[AbstractLens] = DEFAULT_DISTORTION
 ) -> AbstractLens:
-    """Convert an ideal lens to a model with zero coefficients.
+    """Convert a pinhole lens to `model` with all distortion coefficients zero.
 
-    Other lenses are returned unchanged.
+    A lens with distortion is returned unchanged.
     """
     if lens.has_distortion:
         return lens
@@ -46,9 +46,10 @@ def promote_lens(
 
 
 def widen_lens(lens: AbstractLens, model: type[AbstractLens]) -> AbstractLens:
-    """Convert a lens to a model with more coefficients; the added ones are 0.
+    """Convert a lens to a model with more coefficients; the added coefficients are 0.
 
-    The projection does not change. The coefficients of `model` must begin with those of the lens.
+    The projection does not change. The first coefficients of `model` must be those of the lens's
+    model.
     """
     zeros = np.zeros(len(model.coefficient_names) - len(lens.coefficient_names))
     coefficients = np.append(np.asarray(lens.coefficients), zeros)
@@ -56,10 +57,10 @@ def widen_lens(lens: AbstractLens, model: type[AbstractLens]) -> AbstractLens:
 
 
 def simplify_lens(lens: AbstractLens) -> AbstractLens:
-    """Return the simplest model of the same lens.
+    """Return an equal lens of the simplest possible model.
 
-    This is the core of a splined lens without correction, and a pinhole if all coefficients are
-    zero.
+    A splined lens with a correction of zero becomes its core. A lens with all coefficients zero
+    becomes a pinhole.
     """
     if isinstance(lens, AbstractSplinedLens) and not np.any(np.asarray(lens.control_px)):
         lens = lens.core
@@ -70,9 +71,9 @@ def simplify_lens(lens: AbstractLens) -> AbstractLens:
 
 
 def spline_lens(lens: AbstractLens, image_size_px: tuple[int, int]) -> AbstractSplinedLens:
-    """Return the lens with a spline correction of zero, which a fit may then change.
+    """Add a spline correction of zero to a lens, which a fit may then estimate.
 
-    Raises InputError if the model cannot be the core of a splined lens.
+    Raise `InputError` if the model has no splined version.
     """
     core = promote_lens(lens)
     if type(core) not in SPLINED:
@@ -84,9 +85,10 @@ def spline_lens(lens: AbstractLens, image_size_px: tuple[int, int]) -> AbstractS
 
 
 def stack_lenses(lenses: Sequence[AbstractLens]) -> AbstractLens:
-    """Stack lenses along a new first axis; ideal lenses are promoted to the model of the others.
+    """Stack lenses of one model along a new first axis of every array.
 
-    Raises InputError for two models that both distort.
+    Pinhole lenses among them are first converted to that model. Raise `InputError` if the lenses
+    have two different models with distortion.
     """
     models = {type(lens) for lens in lenses if lens.has_distortion}
     if not all(model.zero_is_ideal for model in models):

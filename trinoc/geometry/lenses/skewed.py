@@ -25,7 +25,7 @@ SKEW = "skew_px"
 
 
 class AbstractSkewedLens(AbstractLens):
-    """A lens of `core_model` with one more parameter at the end: the skew."""
+    """A lens of `core_model` whose skew is a parameter, the last one of `parameters`."""
 
     core_model: AbstractClassVar[type[AbstractLens]]
 
@@ -37,33 +37,33 @@ class AbstractSkewedLens(AbstractLens):
 
     @property
     def parameters(self) -> Float[ArrayLike, "q"]:
-        """Values of `parameter_names`, (q,)."""
+        """Parameters of the core model and the skew, in the order of `parameter_names`, (q,)."""
         xp = array_namespace(self)
         return xp.append(super().parameters, self.skew_px)
 
     @classmethod
     def from_parameters(cls, values: Float[ArrayLike, "q"]) -> "AbstractSkewedLens":
-        """Lens from the values of `parameter_names`."""
+        """Create a lens from values (q,) in the order of `parameter_names`."""
         return cls(values[:2], values[2:4], values[-1], values[4:-1])
 
     def with_parameters(self, values: Float[ArrayLike, "q"]) -> "AbstractSkewedLens":
-        """Copy of this lens with other values of `parameter_names`."""
+        """Copy of this lens with other parameter values (q,), in the order of `parameter_names`."""
         return self.from_parameters(values)
 
     def parameter_scales(self, image_size_px: tuple[int, int]) -> Float[ArrayLike, "q"]:
-        """Scales of the core and, for the skew, the focal length, (q,)."""
+        """Step sizes of the core model, and the focal length as that of the skew, (q,)."""
         xp = array_namespace(self)
         return xp.append(super().parameter_scales(image_size_px), self.focal_length_px[0])
 
 
 class SkewedThinPrism(AbstractSkewedLens, ThinPrism):
-    """`ThinPrism` with skew. Contains Brown-Conrady and the rational model as special cases."""
+    """A `ThinPrism` lens with skew. Brown-Conrady and rational lenses are special cases of it."""
 
     core_model: ClassVar[type[AbstractLens]] = ThinPrism
 
 
 class SkewedKannalaBrandt(AbstractSkewedLens, KannalaBrandt):
-    """`KannalaBrandt` with skew."""
+    """A `KannalaBrandt` lens with skew."""
 
     core_model: ClassVar[type[AbstractLens]] = KannalaBrandt
 
@@ -77,18 +77,20 @@ _SKEWED: dict[type[AbstractLens], type[AbstractSkewedLens]] = {
 
 
 def skew_lens(lens: AbstractLens) -> AbstractLens:
-    """Convert a lens to the widest model that contains it and has skew as a parameter.
+    """Convert a lens to the skewed model with the most coefficients that can represent it.
 
-    A lens of a model without such a wider model is returned unchanged.
+    The projection does not change. A lens of a model without a skewed version is returned
+    unchanged.
     """
     model = _SKEWED.get(type(lens))
     return lens if model is None else widen_lens(lens, model)
 
 
 def straighten_lens(lens: AbstractLens, model: type[AbstractLens]) -> AbstractLens:
-    """Convert a skewed lens back to `model`; the inverse of `skew_lens`.
+    """Convert a skewed lens back to the unskewed `model`; the inverse of `skew_lens`.
 
-    If `model` lacks coefficients that are not zero, the next wider model is used.
+    If the lens has coefficients that `model` lacks and that are not zero, the result is of the next
+    wider model. Other lenses are returned unchanged.
     """
     if not isinstance(lens, AbstractSkewedLens):
         return lens

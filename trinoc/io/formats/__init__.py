@@ -1,6 +1,7 @@
-"""Other tools' files: one small file for each format, and a registry of what each can hold.
+"""File formats of other tools: one module for each format, and a registry.
 
-A format is a value with `save` and `load`; `FORMATS` has them by name, as `trinoc export --to` and
-`--from` take them. Each says where the origin of its pixels lies, how its axes point
-and in what unit it counts; what it cannot hold is refused in a sentence where projections would
-change, and listed by `Format.lost` where they would not (a covariance, the size of a pixel)."""
+A format is a value with `save` and `load`. `FORMATS` contains all formats, keyed by their names in
+`trinoc export --to` and `--from`. Each format states its pixel origin, its axes and its unit. A
+value is refused if the format cannot store data that changes projections. `Format.lost` lists other
+data that the format does not store, such as a covariance or the pixel pitch.
+"""

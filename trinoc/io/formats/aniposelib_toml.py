@@ -1,9 +1,10 @@
-"""TOML of aniposelib, which FreeMoCap writes, too, and of Caliscope.
+"""TOML files of aniposelib and FreeMoCap, and of Caliscope.
 
-Both have a table for each camera: OpenCV's `matrix` and `distortions`, and `rotation` (axis times
-angle) and `translation` of x_cam = R x_world + t. aniposelib's is `[cam_0]`, with a `name`, in the
-unit of its board; Caliscope's is `[cameras.0]`, in metres. Caliscope's `rotation_count` turns
-pictures while points are sought and shown: its lenses are those of the pictures as stored.
+Both have a table for each camera: OpenCV's `matrix` and `distortions`, and `rotation` (rotation
+vector) and `translation` of x_cam = R x_world + t. The table of aniposelib is `[cam_0]`, with a
+`name`, in the unit of its board. The table of Caliscope is `[cameras.0]`, in metres. Caliscope's
+`rotation_count` rotates images for detection and display only. Its lenses belong to the images as
+stored.
 
 Source: cameras.py of aniposelib, camera_array.py of Caliscope, calibration_result.py of FreeMoCap.
 """
@@ -49,7 +50,10 @@ KEYS = Keys(
 
 
 def write_anipose(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write the cameras as tables with names."""
+    """Write the cameras as TOML tables `[cam_0]`, `[cam_1]`, ..., each with the key `name`.
+
+    Translations are in units of `unit_mm`.
+    """
     tables = {
         f"cam_{number}": {"name": name, **_to_table(camera, name, ANIPOSE, unit_mm)}
         for number, (name, camera) in enumerate(rig.items())
@@ -58,7 +62,10 @@ def write_anipose(rig: Rig, path: Path, unit_mm: float) -> None:
 
 
 def write_caliscope(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write the cameras as numbered TOML tables, unit `unit_mm`."""
+    """Write the cameras as TOML tables `[cameras.0]`, `[cameras.1]`, ..., without names.
+
+    Translations are in units of `unit_mm`.
+    """
     tables = {
         f"cameras.{number}": {
             "cam_id": number,
@@ -71,7 +78,7 @@ def write_caliscope(rig: Rig, path: Path, unit_mm: float) -> None:
 
 
 def read_anipose(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
-    """The tables as cameras; `metadata` is none of them."""
+    """Read one camera from each TOML table of the file except `[metadata]`."""
     document = read_toml(path)
     if "cameras" in document.values:
         raise document.error("cameras", "is Caliscope's: import the file from caliscope.")
@@ -84,7 +91,7 @@ def read_anipose(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
 
 
 def read_caliscope(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
-    """Read the cameras from the tables under `cameras`, except those marked as ignored.
+    """Read the cameras from the TOML tables under `cameras`, except those with `ignore = true`.
 
     Files of an earlier version have tables `cam_0`, `cam_1`, ... instead.
     """
@@ -158,7 +165,10 @@ def _read_cameras(tables: dict[str, Block], path: Path, unit_mm: float) -> Rig:
 
 
 def read_toml(path: Path) -> Block:
-    """The tables of a TOML file, dates as texts. Raises InputError."""
+    """Read the tables of a TOML file as a `Block`; dates become strings.
+
+    Raise `InputError` if the file is unreadable or not TOML.
+    """
     return make_block(parse_file(path, TOML), path)
 
 

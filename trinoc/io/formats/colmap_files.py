@@ -1,4 +1,4 @@
-"""COLMAP's text and binary files, after https://colmap.github.io/format.html."""
+"""Text and binary files of COLMAP models. Source: https://colmap.github.io/format.html."""
 
 import math
 import struct
@@ -21,7 +21,17 @@ from trinoc.io.formats.text_files import MOST_BYTES_OF_MODEL
 
 
 class ColmapCamera(NamedTuple):
-    """A lens: name of its model, (width, height), numbers in the order of the model."""
+    """A COLMAP camera: a lens with image size.
+
+    Attributes
+    ----------
+    model : str
+        Name of the lens model, such as "OPENCV".
+    size : (width, height)
+        Size of the images in px.
+    parameters : list of float
+        Parameters in the order of the model.
+    """
 
     model: str
     size: tuple[int, int]
@@ -29,7 +39,21 @@ class ColmapCamera(NamedTuple):
 
 
 class ColmapImage(NamedTuple):
-    """A picture: cam_from_world as (w, x, y, z) and translation, and the camera it is of."""
+    """A COLMAP image: the pose of one camera.
+
+    Attributes
+    ----------
+    number : int
+        Id of the image.
+    wxyz : list of float
+        Quaternion (w, x, y, z) of cam_from_world.
+    translation : list of float
+        Translation of cam_from_world, in the unit of the file.
+    camera : int
+        Id of the `ColmapCamera`.
+    name : str
+        File name of the image.
+    """
 
     number: int
     wxyz: list[float]
@@ -39,27 +63,30 @@ class ColmapImage(NamedTuple):
 
 
 class ColmapRecords(NamedTuple):
-    """Cameras by number, and images in the order of the file."""
+    """Content of a COLMAP model: cameras by id, and images in the order of the file."""
 
     cameras: dict[int, ColmapCamera]
     images: list[ColmapImage]
 
     def sensor_poses(self) -> list[tuple[int, list[float]]]:
-        """(camera, quaternion and translation from the first one) of all but the first."""
+        """Poses of all images but the first, relative to the first: list of (camera id, pose).
+
+        A pose is camera_from_first_camera: quaternion (w, x, y, z), then translation.
+        """
         poses = [
             motion(rotation_of(np.array(image.wxyz), "a pose"), np.array(image.translation), "it")
             for image in self.images
         ]
-        found = []
+        sensor_poses = []
         for image, pose in zip(self.images[1:], poses[1:], strict=True):
             step = chain_motions(pose, inverse(poses[0]))
             numbers = [*quaternion_wxyz(step[:, :3]).tolist(), *step[:, 3].tolist()]
-            found.append((image.camera, numbers))
-        return found
+            sensor_poses.append((image.camera, numbers))
+        return sensor_poses
 
 
 def text_files(records: ColmapRecords) -> dict[str, str]:
-    """Contents of the five text files of a COLMAP model, by file name."""
+    """Content of the five text files of a COLMAP model, keyed by file name."""
     cameras = [
         f"{number} {model} {width} {height} {_join_numbers(parameters)}"
         for number, (model, (width, height), parameters) in records.cameras.items()
@@ -96,7 +123,10 @@ def text_files(records: ColmapRecords) -> dict[str, str]:
 
 
 def text_records(folder: Path) -> ColmapRecords:
-    """The cameras and images of a folder. Raises InputError, naming file and line."""
+    """Read cameras and images from the text files of a COLMAP model.
+
+    Raise `InputError`, which names file and line, for a damaged line.
+    """
     cameras: dict[int, ColmapCamera] = {}
     for where, fields in _lines(folder / "cameras.txt"):
         try:
@@ -129,9 +159,10 @@ def text_records(folder: Path) -> ColmapRecords:
 
 
 def _are_points(fields: list[str]) -> bool:
-    """Tell a line of points (x, y and number of each) from a line of an image.
+    """True if the words of a line are image points: x, y and an id for each point.
 
-    An image has nine numbers and a name: ten words, or more where its name has blanks.
+    Otherwise the line describes an image, which has nine numbers and a name. A name with blanks is
+    several words.
     """
     try:
         return len(fields) % 3 == 0 and all(map(math.isfinite, map(float, fields)))
@@ -172,7 +203,7 @@ _POINT_2D = struct.calcsize("<ddQ")
 
 
 def binary_files(records: ColmapRecords) -> dict[str, bytes]:
-    """Encode cameras and images as the five binary files of a COLMAP model, by name of file."""
+    """Content of the five binary files of a COLMAP model, keyed by file name."""
     cameras = struct.pack("<Q", len(records.cameras))
     for number, (model, size, parameters) in records.cameras.items():
         cameras += struct.pack("<IiQQ", number, MODELS[model][0], *size)
@@ -198,7 +229,10 @@ def binary_files(records: ColmapRecords) -> dict[str, bytes]:
 
 
 def binary_records(folder: Path) -> ColmapRecords:
-    """The cameras and images of a folder. Raises InputError for a file that is cut or damaged."""
+    """Read cameras and images from the binary files of a COLMAP model.
+
+    Raise `InputError` for a file that is too short or damaged.
+    """
     cameras: dict[int, ColmapCamera] = {}
     reader = _Reader(folder / "cameras.bin")
     names = {number: (name, count) for name, (number, count) in MODELS.items()}
@@ -221,25 +255,25 @@ def binary_records(folder: Path) -> ColmapRecords:
 
 
 class _Reader:
-    """A file's bytes, from the first to the last."""
+    """The content of a binary file with a read position, which starts at the first byte."""
 
     def __init__(self, file: Path) -> None:
         self.file, self.content, self.place = file, read_bytes(file, MOST_BYTES_OF_MODEL), 0
 
     def take(self, layout: str) -> tuple:
-        """The next numbers."""
+        """Read numbers in a layout of `struct` and advance the position."""
         start = self.place
         self.skip(struct.calcsize(layout))
         return struct.unpack_from(layout, self.content, start)
 
     def skip(self, size: int) -> None:
-        """Leave the next bytes out."""
+        """Advance the position by `size` bytes."""
         if self.place + size > len(self.content):
             raise self.damage_error("it ends too early")
         self.place += size
 
     def text(self) -> str:
-        """The next text, which ends with a zero."""
+        """Read a UTF-8 string that ends with a zero byte, and advance the position."""
         end = self.content.find(b"\0", self.place)
         if end < 0:
             raise self.damage_error("a name does not end")
@@ -251,5 +285,5 @@ class _Reader:
         return text
 
     def damage_error(self, why: str) -> InputError:
-        """The error that says so."""
+        """Return the `InputError` for a damaged file; `why` is the reason."""
         return InputError(f"{self.file} is no file of COLMAP, or damaged ({why}): write it again.")

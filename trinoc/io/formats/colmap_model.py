@@ -1,8 +1,9 @@
-"""COLMAP models: a folder of cameras, images and points3D, and the rigs and frames of COLMAP 4.
+"""COLMAP models: a folder with cameras, images, points3D, and the rigs and frames of COLMAP 4.
 
-Every camera of a rig is a camera with one image, whose name is the camera's, and all are one rig in
-one frame. COLMAP's origin is the corner of the top-left pixel, so that principal points differ by
-half a pixel. Points are left out: COLMAP has no lines. Both are read, with the poses of the images.
+Every camera of a rig becomes a COLMAP camera with one image, named after the camera. All images
+belong to one rig in one frame. COLMAP's pixel origin is the corner of the top-left pixel, so that
+principal points differ by half a pixel. Points are not written, because COLMAP has no lines. Text
+and binary models are read, with the poses of the images.
 """
 
 from dataclasses import replace
@@ -48,14 +49,18 @@ SQUARE = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 
 
 def write_binary(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write the rig as a COLMAP model in binary files into the folder `path`."""
+    """Write the rig as a COLMAP model in binary files into the folder `path`.
+
+    Translations are in units of `unit_mm`.
+    """
     _write(path, binary_files(_records(rig, unit_mm)))
 
 
 def write_text_model(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write the rig as a COLMAP model in text files into the folder `path`, unit `unit_mm`.
+    """Write the rig as a COLMAP model in text files into the folder `path`.
 
-    Raises InputError for a camera name that contains a blank.
+    Translations are in units of `unit_mm`. Raise `InputError` for a camera name that contains a
+    blank.
     """
     for name in rig:
         if any(letter.isspace() for letter in name):
@@ -68,7 +73,10 @@ def write_text_model(rig: Rig, path: Path, unit_mm: float) -> None:
 
 
 def read_colmap(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
-    """The rig of a folder, binary where both are there."""
+    """Read the rig of a COLMAP model in a folder. Binary files are preferred to text files.
+
+    Each image of the model becomes a camera of the rig.
+    """
     if (path / "cameras.bin").is_file():
         records = binary_records(path)
     elif (path / "cameras.txt").is_file():

@@ -1,11 +1,11 @@
-"""OpenCV's FileStorage, YAML or JSON, as its calibration samples write it.
+"""OpenCV's FileStorage, as YAML or JSON, with the keys of OpenCV's calibration samples.
 
-One lens is `camera_matrix`, `distortion_coefficients`, `image_width` and `image_height`, and for
-`cv2.fisheye` `fisheye_model: 1`. A rig is the list `cameras`, each with a `name`, these, and `R`
-and `T` of x_cam = R x_world + T; two
-cameras stand there as `M1`, `D1`, `M2`, `D2` and `R`, `T` (second from first) besides, which
-`cv2.stereoRectify` takes. Read is any of the three. The covariance of a rig stands under
-`covariance`, in degrees and mm, as in rig.json.
+A lens has the keys `camera_matrix`, `distortion_coefficients`, `image_width` and `image_height`,
+and `fisheye_model: 1` for `cv2.fisheye`. A rig has a list `cameras`. Each entry has these keys, a
+`name`, and `R` and `T` of x_cam = R x_world + T. A rig of two cameras also has the keys of
+`cv2.stereoRectify`: `M1`, `D1`, `M2`, `D2`, and `R`, `T` from the first to the second camera. All
+three forms are read. The covariance of a rig is stored under `covariance`, in degrees and mm, as in
+rig.json.
 """
 
 import itertools
@@ -106,7 +106,7 @@ PAIR_KEYS = Keys(
 
 
 def write_opencv(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
-    """Write a lens, or a rig with translations in `unit_mm`."""
+    """Write a lens or a rig as a FileStorage file; translations are in units of `unit_mm`."""
     if isinstance(value, Intrinsics):
         document = _lens_to_map(value, "")
     else:
@@ -124,7 +124,7 @@ def write_opencv(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
 
 
 def read_opencv(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig | Intrinsics:
-    """A lens, where the file has no poses; a rig otherwise."""
+    """Read a rig, or a lens if the file contains no poses."""
     document = read_storage(path)
     if "cameras" in document.values:
         return _list_cameras(PAIR_KEYS.take(document), unit_mm)
@@ -151,9 +151,9 @@ def _lens_to_map(lens: Intrinsics, camera: str) -> dict[str, Any]:
 
 
 def _stereo(rig: Rig, cameras: list[dict[str, Any]], unit_mm: float) -> dict[str, Any]:
-    """Calibration of two cameras with the keys of OpenCV's stereo sample.
+    """Entries M1, D1, M2, D2, R, T of OpenCV's stereo sample for a rig of two cameras.
 
-    These keys cannot describe a fisheye.
+    Empty for other rigs, and for fisheye lenses, which these keys cannot describe.
     """
     if len(cameras) != 2 or any("fisheye_model" in camera for camera in cameras):
         return {}
@@ -214,7 +214,10 @@ def _lens_from_map(
     matrix_key: str | None = None,
     distortion_key: str | None = None,
 ) -> Intrinsics:
-    """The lens under two keys; by default under those of one camera, as programs call them."""
+    """Read a lens from the matrix and the distortion coefficients of a map.
+
+    Default keys are those that OpenCV and other programs use for one camera.
+    """
     matrix_key = matrix_key or _first_key(block, _MATRIX_KEYS)
     distortion_key = distortion_key or _first_key(block, _DISTORTION_KEYS)
     side_keys = [_first_key(block, keys) for keys in (_WIDTH_KEYS, _HEIGHT_KEYS)]
@@ -229,15 +232,15 @@ def _lens_from_map(
 
 
 def _first_key(block: Block, keys: tuple[str, ...]) -> str:
-    """The first of several keys that the map contains; the first key if it contains none."""
+    """Return the first of several keys that the map contains, or keys[0] if it contains none."""
     return next((key for key in keys if key in block.values), keys[0])
 
 
 def _called(block: Block) -> str:
-    """Name of the lens model that a map states.
+    """Name of the lens model in `opencv_lens.READ`: "fisheye", or "" for the other models.
 
-    Raises InputError for contradicting or unknown names. OpenCV has no key for it; programs add
-    their own.
+    OpenCV has no key for the model, but other programs add one. Raise `InputError` for unknown or
+    contradicting names.
     """
     named: dict[str, str] = {}
     for key in _FISHEYE_KEYS:
@@ -273,13 +276,19 @@ opencv = Format(
 
 
 def write_storage(document: dict[str, Any], path: Path) -> None:
-    """Write a map as YAML, or as JSON where the name says so; arrays become matrices."""
+    """Write a map for `cv2.FileStorage`: as JSON if the file name ends in .json, else as YAML.
+
+    NumPy arrays become OpenCV matrices.
+    """
     as_json = path.suffix.lower() == ".json"
     write_text(path, _json(document) if as_json else "%YAML:1.0\n---\n" + _yaml(document, ""))
 
 
 def read_storage(path: Path) -> Block:
-    """The file as OpenCV reads it, matrices as lists of rows. Raises InputError for others."""
+    """Read a file of `cv2.FileStorage` as a `Block`; matrices become lists of rows.
+
+    Raise `InputError` if OpenCV cannot read the file.
+    """
     return make_block(parse_file(path, STORAGE), path)
 
 

@@ -1,7 +1,8 @@
-"""EasyMocap's folder of intri.yml and extri.yml, in OpenCV's FileStorage.
+"""EasyMocap's folder with intri.yml and extri.yml, in OpenCV's FileStorage.
 
-The list `names` stands in both. For each there are `K_NAME`, `dist_NAME`, `H_NAME` and `W_NAME`,
-and `R_NAME` (axis times angle), `Rot_NAME` (its matrix) and `T_NAME` of x_cam = R x_world + T.
+Both files have the list `names`. intri.yml has `K_NAME`, `dist_NAME`, `H_NAME` and `W_NAME` for
+each camera. extri.yml has `R_NAME` (rotation vector), `Rot_NAME` (the same rotation as a matrix)
+and `T_NAME` of x_cam = R x_world + T.
 
 Source: mytools/camera_utils.py of EasyMocap.
 """
@@ -40,7 +41,7 @@ KEYS = Keys(read=("K", "dist", "D", "H", "W", "R", "Rot", "T"))
 
 
 def write_easymocap(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write both files."""
+    """Write intri.yml and extri.yml into the folder `path`; translations in units of `unit_mm`."""
     intrinsic: dict[str, Any] = {"names": list(rig.names)}
     extrinsic: dict[str, Any] = {"names": list(rig.names)}
     for name, camera in rig.items():
@@ -64,7 +65,7 @@ def write_easymocap(rig: Rig, path: Path, unit_mm: float) -> None:
 
 
 def read_easymocap(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
-    """The cameras that both files name."""
+    """Read the cameras of intri.yml and their poses in extri.yml."""
     for file in (INTRINSIC, EXTRINSIC):
         if not (path / file).is_file():
             raise InputError(f"{path} holds no {file}: give a folder of EasyMocap's two files.")
@@ -91,7 +92,7 @@ def read_easymocap(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
 
 
 def _by_camera(path: Path) -> dict[str, Block]:
-    """The keys of each camera, without its name at their ends."""
+    """Read a file as one `Block` for each camera; "K_left" becomes the key "K" of "left"."""
     document = read_storage(path)
     listed = document.values.get("names")
     if not isinstance(listed, list) or not listed:

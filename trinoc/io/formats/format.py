@@ -44,7 +44,10 @@ LOSSES = {
 
 
 def say_losses(value: object, loses: tuple[str, ...]) -> tuple[str, ...]:
-    """Descriptions of those losses that apply to this value."""
+    """Return a phrase for each loss in `loses` that applies to `value`, such as "the covariance".
+
+    `loses` contains keys of `LOSSES`.
+    """
     return tuple(LOSSES[loss] for loss in loses if _has(value, loss))
 
 
@@ -77,32 +80,45 @@ Lenses = Mapping[str, Intrinsics]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Format:
-    """A file, or a folder of files, that another tool reads or writes.
+    """A file format of another tool: one file, or a folder of files.
 
-    The defaults are those of most: a file in mm or another unit, with pixels and axes as OpenCV
-    has them.
+    The default values of the fields describe most formats: lengths in mm or a unit that the caller
+    gives, and pixels and axes as in OpenCV.
 
-    Fields
-    ------
-    name : as `trinoc export --to` and `--from` take it.
-    title : what people call it.
-    holds : what can be written to it: "rig", "lens", "matches", "segments", a kind of feature
-        such as "wireframe", or "features" for any; empty where it is only read.
-    reads : what can be read from it; empty where it is only written.
-    place : "file", "folder", or "file or folder": a lens is then a file, a rig a folder of them.
-    endings : of the file's name; empty where any will do.
-    unit_mm : length in mm of its unit, if the caller does not say another; None where it holds no
-        lengths.
-    unit_is_fixed : whether the format itself says its unit.
-    states_unit : whether each file says its unit, so that none is assumed.
-    frames : where the origin of its pixels lies, and how its axes point.
-    loses : of `LOSSES`, what it cannot hold although projections stay the same.
-    write : (value, path, unit_mm), with the value and the place already checked; None where the
-        format is only read.
-    read : (path, unit_mm, lenses); None where the format is only written. For a format that states
-        its unit, unit_mm is None where the caller gives none.
-    keys : for each map in a file, by its place, the keys that are read, left out and refused; empty
-        where the places of numbers say what they are.
+    Attributes
+    ----------
+    name : str
+        Name of the format in `trinoc export --to` and `--from`.
+    title : str
+        Name of the format in messages.
+    holds : tuple of str
+        Kinds of values that can be written: "rig", "lens", "matches", "segments", a kind of feature
+        such as "wireframe", or "features" for all of these. Empty for a format that is only read.
+    reads : tuple of str
+        Kinds of values that can be read. Empty for a format that is only written.
+    place : str
+        Either "file", "folder", or "file or folder". In the last case a lens is a file and a rig
+        is a folder.
+    endings : tuple of str
+        Accepted endings of the file name; empty if any ending is accepted.
+    unit_mm : float or None
+        Default length in mm of one unit of the file; None if the format contains no lengths.
+    unit_is_fixed : bool
+        True if the definition of the format fixes the unit.
+    states_unit : bool
+        True if each file states its own unit.
+    frames : str
+        Description of the pixel origin and of the axes, for the documentation.
+    loses : tuple of str
+        Keys of `LOSSES` for data that the format cannot store. None of them changes a projection.
+    write : callable or None
+        Function of (value, path, unit_mm) that writes a checked value; None if only read.
+    read : callable or None
+        Function of (path, unit_mm, lenses) that returns the value; None if only written. For a
+        format with `states_unit`, unit_mm is None if the caller does not give a unit.
+    keys : mapping of str to Keys
+        For each kind of map in a file: the keys that are read, ignored and refused. Empty for
+        formats without keys.
     """
 
     name: str
@@ -122,7 +138,7 @@ class Format:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """The kinds of values that can be written to it, one by one."""
+        """Kinds of values that can be written; "features" is replaced by the kinds of features."""
         features = tuple(kind.KIND for kind in FEATURES)
         each = (features if kind == "features" else (kind,) for kind in self.holds)
         return tuple(itertools.chain.from_iterable(each))
@@ -130,13 +146,26 @@ class Format:
     def save(
         self, value: object, path: str | os.PathLike[str], *, unit_mm: float | None = None
     ) -> None:
-        """Write a Rig (or the rig of a CalibrationResult), Intrinsics, Matches, Segments or
-        features in space, such as a Wireframe.
+        """Write a value to a file or a folder of this format.
 
-        The file or folder is whole or not there. `unit_mm` is the length in mm of one unit of
-        the file, for formats that leave it open. A covariance is lost where `lost` says so.
-        Raises InputError for what the format does not hold, such as a lens with more distortion
-        than it knows, and for a name with another ending.
+        Parameters
+        ----------
+        value : Rig, CalibrationResult, Intrinsics, Matches, Segments or Feature
+            Of a CalibrationResult, the rig is written; of a lens calibration, the lens.
+        path : path
+            File or folder to write. It appears complete or not at all.
+        unit_mm : float, optional
+            Length in mm of one unit of the file, for formats without a fixed unit.
+
+        Raises
+        ------
+        InputError
+            If the format cannot store the value, for example a lens with more distortion
+            coefficients, or if the file name has another ending.
+
+        Notes
+        -----
+        `lost` lists the data that the format does not store, such as the covariance.
         """
         if self.write is None:
             raise InputError(f"{self.title} is only read, not written: choose another format.")
@@ -169,12 +198,30 @@ class Format:
         lenses: Lenses | None = None,
         names: Sequence[str] | None = None,
     ) -> Any:
-        """Read what `reads` says: a Rig, or Intrinsics, or Segments.
+        """Read a Rig, Intrinsics or Segments from a file or a folder of this format.
 
-        `unit_mm` is as in `save`; `lenses`, by camera, are needed by formats that hold poses
-        alone; `names` rename the cameras of a rig, in the order of the file. A rig has a
-        covariance only where the format holds one. Raises InputError, in one sentence with the
-        file, for what is missing, not finite or no camera.
+        Parameters
+        ----------
+        path : path
+            File or folder to read.
+        unit_mm : float, optional
+            Length in mm of one unit of the file, for formats without a fixed unit.
+        lenses : dict of Intrinsics, optional
+            Lens of each camera, for formats that contain only poses.
+        names : sequence of str, optional
+            New names of the cameras of a rig, in the order of the file.
+
+        Returns
+        -------
+        Rig, Intrinsics or Segments
+            A value of one of the kinds in `reads`. A rig has a covariance only if the format stores
+            one.
+
+        Raises
+        ------
+        InputError
+            If data is missing or not finite, or does not describe a camera. The message names the
+            file.
         """
         if self.read is None:
             raise InputError(f"{self.title} is only written, not read: import another format.")
@@ -191,9 +238,9 @@ class Format:
         return value if names is None else _rename_cameras(value, tuple(names), source)
 
     def lost(self, value: object) -> tuple[str, ...]:
-        """Descriptions of the parts of a value that the format cannot hold.
+        """Return a phrase for each part of `value` that the format does not store.
 
-        None of them changes a projection.
+        None of these parts changes a projection.
         """
         plain = _plain(value)
         lost = say_losses(plain, self.loses)
@@ -216,7 +263,7 @@ class Format:
 
 
 def expect_new_folder(target: Path) -> None:
-    """Raise InputError unless a folder can be made here: none is mixed with what is there."""
+    """Raise `InputError` unless `target` is an empty or new folder in an existing folder."""
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"{target} is there already: give the name of a new folder.")
     if not target.absolute().parent.is_dir():
@@ -246,8 +293,11 @@ def _plain(value: object) -> object:
 
 
 def _expect_writable(value: object, target: Path) -> None:
-    """Raise InputError for names that no text holds, for numbers that are not finite, and for
-    lenses and cameras that a reader refuses."""
+    """Raise `InputError` if a value cannot be written as text and read again.
+
+    Text files cannot contain some camera names and numbers that are not finite. Readers also refuse
+    unusable lenses and camera positions.
+    """
     match value:
         case Rig():
             names, lenses = value.names, [camera.intrinsics for camera in value.cameras]
@@ -283,6 +333,9 @@ def _rename_cameras(value: object, names: tuple[str, ...], source: Path) -> Rig:
         )
     new_of = dict(zip(value.names, names, strict=True))
     split = [parameter.rpartition(".") for parameter in value.parameters]
-    parameters = [f"{new_of.get(camera, camera)}{dot}{own}" for camera, dot, own in split]
+    parameters = [
+        f"{new_of.get(camera, camera)}{dot}{parameter_name}"
+        for camera, dot, parameter_name in split
+    ]
     named = dict(zip(names, value.cameras, strict=True))
     return Rig(named, parameters=parameters, covariance=value.covariance)

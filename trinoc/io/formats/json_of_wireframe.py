@@ -1,4 +1,4 @@
-"""A wire frame as JSON: vertices, edges and faces by name, each with its own covariance."""
+"""A wire frame as JSON: vertices, edges and faces, each with its own covariance."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,10 @@ from trinoc.match.wire_frame.frame import Wireframe
 
 
 def write_json(frame: Wireframe, path: Path, unit_mm: float) -> None:
-    """Write vertices, edges and faces, and what was let go; lengths in units of `unit_mm`."""
+    """Write vertices, edges and faces of a wire frame, and line ends that do not fit, as JSON.
+
+    Lengths are in units of `unit_mm`.
+    """
     area = unit_mm**2
     vertex_covariance, edge_covariance = frame.vertices_covariance_mm2, frame.covariance_mm2
     # Of a plane, the offset alone is a length.

@@ -1,8 +1,8 @@
-"""Kalibr's camchain YAML: cam0, cam1, ..., each with `T_cn_cnm1` from the camera before it, or with
-`T_cam_imu` from an inertial unit that all hang on.
+"""Kalibr's camchain, a YAML file with cam0, cam1, ...
 
-Kalibr has no world but the first camera, and no names but numbers: both are lost. Its radtan has
-exactly k1, k2, p1, p2.
+Each camera has its pose relative to the previous camera, `T_cn_cnm1`, or to a common inertial unit,
+`T_cam_imu`. The world is the first camera, and cameras have numbers instead of names. So the world
+and the names of a rig are lost. Kalibr's radtan model has exactly k1, k2, p1, p2.
 """
 
 import re
@@ -56,14 +56,19 @@ ROWS = (
 
 
 def write_kalibr(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write the chain, in metres."""
-    document, before = {}, None
+    """Write the cameras as a Kalibr camchain; translations in units of `unit_mm`.
+
+    Each pose is relative to the previous camera.
+    """
+    document, previous_pose = {}, None
     for number, (name, camera) in enumerate(rig.items()):
         numbers = list_lens_numbers(camera.intrinsics, ROWS, TITLE, name)
         entry: dict[str, Any] = {}
         pose = np.asarray(camera.cam_from_world)
-        if before is not None:
-            entry["T_cn_cnm1"] = homogeneous(chain_motions(pose, inverse(before)), unit_mm).tolist()
+        if previous_pose is not None:
+            entry["T_cn_cnm1"] = homogeneous(
+                chain_motions(pose, inverse(previous_pose)), unit_mm
+            ).tolist()
         entry |= {
             "camera_model": "pinhole",
             "distortion_coeffs": numbers.coefficients,
@@ -72,12 +77,12 @@ def write_kalibr(rig: Rig, path: Path, unit_mm: float) -> None:
             "resolution": list(camera.image_size_px),
             "rostopic": f"/{name}/image_raw",
         }
-        document[f"cam{number}"], before = entry, pose
+        document[f"cam{number}"], previous_pose = entry, pose
     write_text(path, yaml_text(document))
 
 
 def read_kalibr(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
-    """The chain as a rig whose world is the frame of cam0."""
+    """Read a Kalibr camchain as a rig whose world is the frame of cam0."""
     document = read_yaml(path)
     if "cam0" not in document.values:
         raise document.error("cam0", "is missing: give the camchain that Kalibr writes.")
@@ -97,24 +102,25 @@ def read_kalibr(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
 
 
 def _poses(blocks: list[Block], unit_mm: float) -> list[np.ndarray]:
-    """cam_from_cam0 of each, by the chain, or by the inertial unit where there is no chain.
+    """Poses cam_from_cam0 (3, 4) of all cameras, in mm.
 
-    Raises InputError where both are there and differ, or neither is.
+    Each pose comes from the chain `T_cn_cnm1`, or without that key from the inertial unit,
+    `T_cam_imu`. Raise `InputError` if a camera has neither key, or both with different results.
     """
     from_imu = [
         _motion(block, "T_cam_imu", unit_mm) if "T_cam_imu" in block.values else None
         for block in blocks
     ]
     poses = [np.eye(3, 4)]
-    for block, imu in zip(blocks[1:], from_imu[1:], strict=True):
-        by_imu = None
-        if from_imu[0] is not None and imu is not None:
-            by_imu = chain_motions(imu, inverse(from_imu[0]))
-        if by_imu is not None and "T_cn_cnm1" not in block.values:
-            poses.append(by_imu)
+    for block, cam_from_imu in zip(blocks[1:], from_imu[1:], strict=True):
+        imu_pose = None
+        if from_imu[0] is not None and cam_from_imu is not None:
+            imu_pose = chain_motions(cam_from_imu, inverse(from_imu[0]))
+        if imu_pose is not None and "T_cn_cnm1" not in block.values:
+            poses.append(imu_pose)
             continue
         pose = chain_motions(_motion(block, "T_cn_cnm1", unit_mm), poses[-1])
-        if by_imu is not None and not _is_same(pose, by_imu):
+        if imu_pose is not None and not _is_same(pose, imu_pose):
             raise block.error(
                 "T_cam_imu", "has the camera elsewhere than T_cn_cnm1: remove the wrong one."
             )
@@ -123,7 +129,10 @@ def _poses(blocks: list[Block], unit_mm: float) -> list[np.ndarray]:
 
 
 def _expect_pairs(document: Block, poses: list[np.ndarray], unit_mm: float) -> None:
-    """Raise InputError where `T_cam1_cam0`, as some data sets add, has a camera elsewhere."""
+    """Raise `InputError` if a key such as `T_cam1_cam0` contradicts `poses`.
+
+    Some data sets add these keys to Kalibr's file.
+    """
     for key in document.values:
         pair = _PAIR.fullmatch(key)
         if pair is None:

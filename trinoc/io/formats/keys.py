@@ -1,7 +1,7 @@
-"""The keys of another tool's file: which are read, which may be left out, which are refused.
+"""Keys of other tools' files: which keys are read, ignored or refused.
 
-A reader that takes the keys it knows and no notice of others is wrong without a word as soon as a
-file has a key that changes the projection. So a reader declares its keys, and gets no others.
+A reader that ignores an unknown key gives wrong results without a message if the key changes the
+projection. So each reader declares its keys, and gets no others.
 """
 
 import difflib
@@ -22,10 +22,16 @@ _ALIKE = 0.75
 
 
 class Refused(NamedTuple):
-    """A key whose value changes the projection in a way that trinoc's cameras do not have.
+    """A key of another tool's file that `Keys.take` refuses.
 
-    what : it says and what to do, as a sentence goes on after the key and its value.
-    harmless : values with which it changes nothing.
+    The value of the key changes the projection in a way that trinoc does not model.
+
+    Attributes
+    ----------
+    what : str
+        End of the error message after the key and its value: the reason and the remedy.
+    harmless : sequence
+        Values of the key that do not change the projection, and are accepted.
     """
 
     what: str
@@ -33,12 +39,17 @@ class Refused(NamedTuple):
 
 
 class Keys(NamedTuple):
-    """The keys of a map in a file.
+    """Lists of the keys of one kind of map in another tool's file.
 
-    read : those that the reader takes, which change the cameras.
-    left_out : those that change no projection, although their names look so. Other keys are left
-        out, too, where their names do not.
-    refused : those that change it and are not read.
+    Attributes
+    ----------
+    read : tuple of str
+        Keys that the reader uses.
+    left_out : tuple of str
+        Keys that are ignored although their names look as if they changed the projection. Keys with
+        other unknown names are always ignored.
+    refused : mapping of str to Refused
+        Keys that change the projection and that trinoc does not support.
     """
 
     read: tuple[str, ...]
@@ -46,10 +57,10 @@ class Keys(NamedTuple):
     refused: Mapping[str, Refused] = {}
 
     def take(self, block: Block) -> Block:
-        """The keys that are read, and no others.
+        """Return a copy of `block` with only the keys in `read`.
 
-        Raises InputError for a key that is refused, unless its value is harmless, and for one that
-        is not declared and whose name looks as if it changed the projection.
+        Raise `InputError` for a key in `refused`, unless its value is harmless. Raise it also for a
+        key in no list whose name looks as if it changed the projection.
         """
         for key, value in block.values.items():
             if key in self.read or key in self.left_out or value is None:

@@ -1,7 +1,7 @@
-"""Lenses under the names and in the order of other tools: a table for each format.
+"""Conversion of lenses between trinoc and other tools, by a table of lens models for each format.
 
-The polynomials are the same wherever a model of ours has a name there; what differs is the order
-of the coefficients, how many there are, and where the origin of the pixels lies.
+A model with a name in both has the same polynomial. Formats differ in the order and number of the
+coefficients, and in the pixel origin.
 """
 
 from collections.abc import Sequence
@@ -20,11 +20,17 @@ NEGLIGIBLE_SKEW_PX = 1e-9
 
 
 class LensRow(NamedTuple):
-    """A lens model of a format.
+    """A lens model of another format: one row of the format's table of models.
 
-    called : its name there.
-    model : our name of it.
-    coefficients : the order there. Those that our model does not know must be zero.
+    Attributes
+    ----------
+    called : str
+        Name of the model in the format.
+    model : str
+        Name of the model in trinoc.
+    coefficients : tuple of str
+        Names of the coefficients, in the order of the format. A name that the trinoc model does not
+        have must have the value 0.
     """
 
     called: str
@@ -33,7 +39,21 @@ class LensRow(NamedTuple):
 
 
 class LensNumbers(NamedTuple):
-    """A lens as a format has it: focal lengths, principal point (its origin) and coefficients."""
+    """The parameters of a lens as another format stores them.
+
+    Attributes
+    ----------
+    called : str
+        Name of the model in the format.
+    focal_px : tuple
+        Focal lengths along u and v.
+    centre_px : tuple
+        Principal point (u, v), relative to the pixel origin of the format.
+    skew_px : float
+        Entry K[0, 1] of the calibration matrix.
+    coefficients : list of float
+        Distortion coefficients, in the order of the format.
+    """
 
     called: str
     focal_px: tuple[float, float]
@@ -43,7 +63,7 @@ class LensNumbers(NamedTuple):
 
 
 def list_lenses(rig: Rig) -> dict[str, Intrinsics]:
-    """The lens of each camera."""
+    """The lens of each camera, keyed by camera name."""
     return {name: camera.intrinsics for name, camera in rig.items()}
 
 
@@ -56,10 +76,31 @@ def list_lens_numbers(
     origin_px: float = 0.0,
     skew: bool = False,
 ) -> LensNumbers:
-    """The numbers of a lens in the first row of the table that holds them all.
+    """Convert a lens to the parameters of another format.
 
-    `origin_px` is where the centre of the top-left pixel lies there. Raises InputError where no
-    row holds the lens, or a skew is not held.
+    Parameters
+    ----------
+    lens : Intrinsics
+        The lens.
+    rows : sequence of LensRow
+        Models of the format. The first row that can represent the lens is used.
+    title : str
+        Name of the format in messages.
+    camera : str
+        Name of the camera in messages, if any.
+    origin_px : float
+        Coordinate, in the format, of the centre of the top-left pixel.
+    skew : bool
+        True if the format stores a skew.
+
+    Returns
+    -------
+    LensNumbers
+
+    Raises
+    ------
+    InputError
+        If no row can represent the lens, or the lens has a skew that the format does not store.
     """
     who = f'The lens of "{camera}"' if camera else "The lens"
     if not skew and abs(float(lens.skew_px)) > NEGLIGIBLE_SKEW_PX:
@@ -115,10 +156,31 @@ def make_lens(
     *,
     origin_px: float = 0.0,
 ) -> Intrinsics:
-    """The lens of numbers in a file; one whose coefficients are all zero is ideal.
+    """Convert the parameters of another format to a lens.
 
-    `where` begins the sentence of the InputError for a model or a coefficient that trinoc does
-    not know, and for numbers that are no lens.
+    Parameters
+    ----------
+    numbers : LensNumbers
+        Parameters as the format stores them.
+    image_size_px : (width, height)
+        Size of the images.
+    rows : sequence of LensRow
+        Models of the format.
+    where : str
+        Beginning of the error message: the file, and the camera in the file.
+    origin_px : float
+        Coordinate, in the format, of the centre of the top-left pixel.
+
+    Returns
+    -------
+    Intrinsics
+        A lens without distortion if all coefficients are zero and the model allows it.
+
+    Raises
+    ------
+    InputError
+        If trinoc does not have the model or a coefficient, or if the numbers do not describe a
+        lens.
     """
     rows_of_model = [row for row in rows if row.called == numbers.called]
     if not rows_of_model:
@@ -159,7 +221,7 @@ def make_lens(
 
 
 def _unknown(numbers: LensNumbers, row: LensRow) -> list[str]:
-    """Coefficients that are not zero and that our model of a row does not have."""
+    """Names of non-zero coefficients that the trinoc model of a row does not have."""
     ours = LENS_MODELS[row.model].coefficient_names
     beyond = [
         f"coefficient {k + 1}" for k in range(len(row.coefficients), len(numbers.coefficients))

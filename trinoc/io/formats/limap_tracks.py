@@ -1,7 +1,7 @@
 """3-D segments as LIMAP's folder of tracks: track_0.txt, track_1.txt, ...
 
-Images are numbered as the views of the matches, and lines as the segments of each view. Fragments
-count from the corner of the top-left pixel, as the COLMAP cameras do that LIMAP works with.
+Image ids are the indices of the views, and line ids those of the segments in each view. The pixel
+origin is the corner of the top-left pixel, as in the COLMAP cameras that LIMAP uses.
 """
 
 from pathlib import Path
@@ -17,7 +17,7 @@ HALF_PX = 0.5
 
 
 def write_limap(matches: Matches, path: Path, unit_mm: float) -> None:
-    """Write a file for each track."""
+    """Write one text file for each track into the folder `path`; lengths in units of `unit_mm`."""
     with atomic_folder(path) as folder:
         for track, ends in enumerate(matches.lines_mm / unit_mm):
             images = np.flatnonzero(matches.index[track] >= 0)

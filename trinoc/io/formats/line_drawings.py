@@ -1,12 +1,11 @@
 """3-D segments and features as drawings: OBJ, glTF 2.0 and DXF.
 
-glTF counts in metres with y up: (x, y, z) of the world becomes (x, z, -y) / 1000, in single
-precision, which is finer than .1 um on a bench.
+glTF has metres with y up: (x, y, z) mm of the world becomes (x, z, -y) / 1000, in single precision.
 
-DXF is R12, which every CAD reads: LINE entities, a layer for each stage. A wire frame has its edges
-on two layers, those of three views and those of two, and its faces as 3DFACE on a third, in
-triangles where they have more than four corners. Other features have a layer of their kind. R12 has
-no unit of its own: tell the program that reads it millimetres.
+DXF is R12, which all CAD programs read: LINE entities, with a layer for each stage of matching. A
+wire frame has a layer for edges of three views, one for edges of two views, and one for faces.
+Faces are 3DFACE entities, in triangles if they have more than four corners. Other features have a
+layer for their kind. R12 does not state a unit: select millimetres in the program that reads it.
 """
 
 import base64
@@ -31,7 +30,11 @@ JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\0"
 
 
 def write_gltf(value: Matches | Feature, path: Path, unit_mm: float) -> None:
-    """Write one mesh of lines. Raises InputError where there is none: glTF has no empty mesh."""
+    """Write all lines as one glTF mesh, in .gltf or .glb. Faces are not written.
+
+    Lengths are in units of `unit_mm`. Raise `InputError` if there is no line: glTF has no empty
+    mesh.
+    """
     if len(value) == 0:
         raise InputError(f"{path} was not written: there is no 3-D segment, and glTF needs one.")
     wires = value.wires()
@@ -89,11 +92,11 @@ gltf = Format(
 
 
 def write_obj(value: Matches | Feature, path: Path, unit_mm: float) -> None:
-    """Write vertices, lines and faces."""
+    """Write vertices, lines and faces as OBJ; lengths in units of `unit_mm`."""
     points_mm, pairs, _, loops = value.wires()
     lines = [f"# unit {unit_mm!r} mm, Z up"]
     lines.extend("v " + " ".join(map(repr, point)) for point in (points_mm / unit_mm).tolist())
-    lines.extend(f"l {one + 1} {other + 1}" for one, other in pairs.tolist())
+    lines.extend(f"l {start + 1} {end + 1}" for start, end in pairs.tolist())
     lines.extend("f " + " ".join(str(v + 1) for v in loop.tolist()) for loop in loops)
     write_text(path, "\n".join(lines) + "\n")
 
@@ -114,7 +117,10 @@ HIDDEN_FIRST, HIDDEN_THIRD = 1, 4
 
 
 def write_dxf(value: Matches | Feature, path: Path, unit_mm: float) -> None:
-    """Write the lines and the faces, on a layer for each stage or kind."""
+    """Write lines and faces as DXF R12; lengths in units of `unit_mm`.
+
+    Tracks have a layer for each stage of matching, other features a layer for their kind.
+    """
     pairs: list[tuple[int, Any]] = [
         (999, f"trinoc: unit {unit_mm!r} mm, Z up"),
         *((0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009"), (0, "ENDSEC")),
@@ -143,21 +149,23 @@ def _layers(value: Matches | Feature) -> list[str]:
 
 
 def _face(corners: list[list[float]]) -> list[tuple[int, Any]]:
-    """One 3DFACE of three corners or four, or a fan of triangles."""
+    """DXF (code, value) pairs of a face: one 3DFACE, or triangles if it has over four corners."""
     count = len(corners)
-    parts = [(list(range(count)), 0)]
+    polygons = [(list(range(count)), 0)]
     if count > 4:
-        parts = [
+        polygons = [
             ([0, k, k + 1], HIDDEN_FIRST * (k > 1) + HIDDEN_THIRD * (k < count - 2))
             for k in range(1, count - 1)
         ]
     pairs: list[tuple[int, Any]] = []
-    for chosen, hidden in parts:
+    for corner_indices, hidden_edges in polygons:
         pairs += [(0, "3DFACE"), (8, "FACES")]
         # A triangle has its last corner twice.
-        for number, vertex in enumerate((*chosen, chosen[-1])[:4]):
-            pairs += zip((10 + number, 20 + number, 30 + number), corners[vertex], strict=True)
-        pairs.append((70, hidden))
+        for position, vertex in enumerate((*corner_indices, corner_indices[-1])[:4]):
+            pairs += zip(
+                (10 + position, 20 + position, 30 + position), corners[vertex], strict=True
+            )
+        pairs.append((70, hidden_edges))
     return pairs
 
 

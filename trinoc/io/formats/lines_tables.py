@@ -1,4 +1,4 @@
-"""3-D segments as tables of a row for each track: CSV, Parquet, which needs pyarrow, and PLY."""
+"""3-D segments as tables with a row for each track: CSV, Parquet (needs pyarrow) and PLY."""
 
 import csv as csv_text
 import io
@@ -21,7 +21,10 @@ _FRAMES = "the world of the rig; pixel (0, 0) is the centre of the top-left pixe
 
 
 def columns_in_unit(columns: dict[str, np.ndarray], unit_mm: float) -> dict[str, np.ndarray]:
-    """Named columns with lengths in units of `unit_mm`, without _mm and _mm2 in their names."""
+    """Convert columns from mm and mm^2 to units of `unit_mm`.
+
+    The endings _mm and _mm2 of the column names are removed.
+    """
     scaled = {}
     for name, column in columns.items():
         power = 2 if name.endswith("_mm2") else int(name.endswith("_mm"))
@@ -31,13 +34,16 @@ def columns_in_unit(columns: dict[str, np.ndarray], unit_mm: float) -> dict[str,
 
 
 def _columns(matches: Matches, unit_mm: float) -> dict[str, np.ndarray]:
-    """Those of the file: their names say that lengths are in mm where they are."""
+    """Columns of the file, with one entry for each track.
+
+    If `unit_mm` is 1, the endings _mm and _mm2 of the column names remain.
+    """
     columns = matches.named_columns()
     return columns if unit_mm == 1 else columns_in_unit(columns, unit_mm)
 
 
 def write_csv(matches: Matches, path: Path, unit_mm: float) -> None:
-    """Write the columns, numbers to their last digit; what is not finite stays empty."""
+    """Write one row for each track, with all digits; a number that is not finite is left empty."""
     columns = _columns(matches, unit_mm)
     out = io.StringIO()
     rows = csv_text.writer(out, lineterminator="\n")
@@ -47,7 +53,7 @@ def write_csv(matches: Matches, path: Path, unit_mm: float) -> None:
 
 
 def write_parquet(matches: Matches, path: Path, unit_mm: float) -> None:
-    """Write the columns, typed. Raises InputError where pyarrow is not installed."""
+    """Write one row for each track as Parquet. Raise `InputError` if pyarrow is not installed."""
     try:
         import pyarrow
         import pyarrow.parquet
@@ -82,7 +88,10 @@ _TYPES = {"f": "double", "i": "int", "b": "uchar"}
 
 
 def write_ply(value: Matches | Feature, path: Path, unit_mm: float) -> None:
-    """Write vertices, faces and edges as text; each edge has the columns of what it is of."""
+    """Write vertices, faces and edges as PLY text; lengths in units of `unit_mm`.
+
+    Each edge has the numeric columns of the feature or track that it belongs to.
+    """
     wires = value.wires()
     vertices: dict[str, np.ndarray] = dict(
         zip(("x_mm", "y_mm", "z_mm"), wires.points_mm.T, strict=True)
@@ -109,7 +118,7 @@ def write_ply(value: Matches | Feature, path: Path, unit_mm: float) -> None:
 
 
 def _number_columns(value: Matches | Feature) -> dict[str, np.ndarray]:
-    """The numbers of each row that are no words and not of pictures."""
+    """Numeric columns of a table, except pixel coordinates and segment indices."""
     columns = value.named_columns(brief=not isinstance(value, Matches))
     if isinstance(value, Matches):
         columns["trinocular"] = value.stage == TRINOCULAR
@@ -121,12 +130,14 @@ def _number_columns(value: Matches | Feature) -> dict[str, np.ndarray]:
 
 
 def _element(name: str, columns: Mapping[str, np.ndarray]) -> tuple[list[str], list[str]]:
-    """(head, rows) of a kind of thing."""
+    """(header lines, data lines) of one PLY element, such as "vertex", with the given columns."""
     count = len(next(iter(columns.values())))
-    of_columns = [f"property {_TYPES[c.dtype.kind]} {own}" for own, c in columns.items()]
+    properties = [
+        f"property {_TYPES[c.dtype.kind]} {column_name}" for column_name, c in columns.items()
+    ]
     plain = [(c.astype(int) if c.dtype.kind == "b" else c).tolist() for c in columns.values()]
     rows = [" ".join(map(repr, row)) for row in zip(*plain, strict=True)]
-    return [f"element {name} {count}", *of_columns], rows
+    return [f"element {name} {count}", *properties], rows
 
 
 def _faces(loops: list[list[int]]) -> tuple[list[str], list[str]]:

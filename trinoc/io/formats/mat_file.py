@@ -14,10 +14,11 @@ _HEADER_BYTES, _ENDIAN_MARKS = 128, (b"IM", b"MI")
 
 
 def mat_variables(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the variables by name: structs as maps, cells as lists, texts, matrices as lists of
-    rows. Complex, sparse and other values are None.
+    """Read the variables of a MATLAB file, keyed by name, as JSON values.
 
-    Raises InputError for a file of another format, of version 7.3, or damaged.
+    Structs become dictionaries, cell arrays lists, texts strings, and matrices lists of rows.
+    Complex, sparse and other values become None. Raise `InputError` for a file that is damaged, of
+    another format, or of version 7.3.
     """
     content = read_bytes(path)
     if content[:20].startswith(b"MATLAB 7.3") or content.startswith(b"\x89HDF"):
@@ -28,7 +29,7 @@ def mat_variables(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def read_variables(content: bytes) -> dict[str, Any]:
-    """Return the variables of a file's content as JSON values; for the child process."""
+    """Convert the content of a MATLAB file to JSON values. Runs in a child process."""
     import scipy.io
 
     variables = scipy.io.loadmat(io.BytesIO(content))

@@ -1,11 +1,11 @@
-"""MATLAB's `stereoParameters` as structs in a .mat file, to be read with scipy or MATLAB.
+"""MATLAB's `stereoParameters` as structs in a .mat file, for MATLAB or SciPy.
 
-MATLAB knows pairs. For each camera after the first there is a struct `stereoParams` (of two
-cameras), or `stereoParams_2`, `stereoParams_3`, ...: the first camera and that one, with the fields
-of `toStruct`; `stereoParameters(S.stereoParams_2)` makes the object. Its pixels count from 1, its
-matrices are transposed (row vectors: x2 = x1 R + t), and each file states its unit. `camera_names`
-and `cam1_from_world` (4 x 4) stand beside, so that names and world come back, and `covariance`, in
-degrees and mm, with its `parameters` and its `matrix`.
+MATLAB stores pairs of cameras. Each camera after the first has a struct with the fields of
+`toStruct`, for the pair of the first camera and this one. The struct is `stereoParams` for two
+cameras, else `stereoParams_2`, `stereoParams_3`, ...; `stereoParameters(S.stereoParams_2)` creates
+the object. Pixels count from 1, matrices are transposed (row vectors: x2 = x1 R + t), and each file
+states its unit. Further variables preserve the rig: `camera_names`, `cam1_from_world` (4 x 4), and
+`covariance`, in degrees and mm, with its `parameters` and its `matrix`.
 """
 
 import contextlib
@@ -64,7 +64,10 @@ ROWS = (LensRow("", "brown_conrady", (*RADIAL, *TANGENTIAL)),)
 
 
 def write_matlab(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write the structs. Raises InputError for a rig of one camera."""
+    """Write one struct of stereoParameters for each pair of the first camera and another camera.
+
+    Translations are in units of `unit_mm`. Raise `InputError` for a rig of one camera.
+    """
     if len(rig) < 2:
         raise InputError(f"{TITLE} is of two cameras: give a rig of two or more.")
     unit = next((name for name, mm in UNITS_MM.items() if mm == unit_mm), f"{unit_mm!r} mm")
@@ -91,8 +94,11 @@ def write_matlab(rig: Rig, path: Path, unit_mm: float) -> None:
 
 
 def read_matlab(path: Path, unit_mm: float | None, lenses: Lenses | None) -> Rig:
-    """The rig of one or several structs of stereoParameters; without `cam1_from_world` the world
-    is the first camera. `unit_mm` is needed only where a file does not state its unit."""
+    """Read a rig from one or several structs of stereoParameters.
+
+    Without the variable `cam1_from_world`, the world is the frame of the first camera. `unit_mm` is
+    needed only if the file does not state its unit.
+    """
     document = make_block(mat_variables(path), path)
     pairs = [name for name in document.values if name.startswith(VARIABLE)]
     if not pairs:
@@ -152,25 +158,28 @@ def _to_struct(lens: Intrinsics, camera: str, unit: str) -> dict[str, Any]:
 
 
 def _stated_unit_mm(lens: Block, unit_mm: float | None) -> float:
-    """The unit of a file's lengths, in mm. Raises InputError where it is unknown, or another than
-    the caller gives."""
+    """Unit of a file's lengths, in mm.
+
+    `unit_mm` is the unit that the caller gives, or None. Raise `InputError` if the unit is unknown,
+    or if file and caller contradict each other.
+    """
     stated = lens.values.get("WorldUnits")
     if not stated:
         return 1.0 if unit_mm is None else unit_mm
     name = lens.text("WorldUnits").strip()
     number, _, rest = name.partition(" ")
-    of_file = UNITS_MM.get(name.lower())
-    if of_file is None and rest == "mm":
+    file_unit_mm = UNITS_MM.get(name.lower())
+    if file_unit_mm is None and rest == "mm":
         with contextlib.suppress(ValueError):
             length_mm = float(number)
-            of_file = length_mm if 0 < length_mm < float("inf") else None
-    if of_file is None and unit_mm is None:
+            file_unit_mm = length_mm if 0 < length_mm < float("inf") else None
+    if file_unit_mm is None and unit_mm is None:
         raise lens.error("WorldUnits", f'is "{name}": say how long that is by --unit-mm.')
-    if of_file is not None and unit_mm is not None and unit_mm != of_file:
+    if file_unit_mm is not None and unit_mm is not None and unit_mm != file_unit_mm:
         raise lens.error(
             "WorldUnits", f'is "{name}", but --unit-mm is {unit_mm:g}: leave --unit-mm out.'
         )
-    return of_file or unit_mm or 1.0
+    return file_unit_mm or unit_mm or 1.0
 
 
 def _lens(lens: Block) -> Intrinsics:

@@ -1,7 +1,7 @@
 """MC-Calib's calibrated_cameras_data.yml: `camera_0`, `camera_1`, ... in OpenCV's FileStorage.
 
-`camera_pose_matrix` is the camera in the frame of its group, x_group = P x_cam, in the unit of the
-board. `distortion_type` is 0 for Brown's five coefficients, 1 for Kannala's four.
+`camera_pose_matrix` is the pose P of the camera in the frame of its group, x_group = P x_cam, in
+the unit of the board. `distortion_type` is 0 for Brown's five coefficients, 1 for Kannala's four.
 
 Source: Calibration::saveCamerasParams and Camera.cpp of MC-Calib.
 """
@@ -37,7 +37,10 @@ KEYS = Keys(
 
 
 def write_mc_calib(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write the cameras as one group, whose frame is the world."""
+    """Write the cameras as one camera group whose frame is the world.
+
+    Translations are in units of `unit_mm`.
+    """
     document: dict[str, Any] = {"nb_camera": len(rig)}
     for number, (name, camera) in enumerate(rig.items()):
         numbers = list_lens_numbers(camera.intrinsics, ROWS, TITLE, name)
@@ -55,7 +58,10 @@ def write_mc_calib(rig: Rig, path: Path, unit_mm: float) -> None:
 
 
 def read_mc_calib(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
-    """The cameras of the one group."""
+    """Read the cameras of the file, whose world is the frame of their camera group.
+
+    Raise `InputError` if the file has several camera groups.
+    """
     document = read_storage(path)
     count = document.number("nb_camera")
     keys = [key for key in document.values if key.startswith("camera_")]

@@ -1,10 +1,10 @@
 """Agisoft Metashape's cameras.xml (Export Cameras, Agisoft XML), read only.
 
-A sensor has `f` and the offsets `cx`, `cy` of the principal point from the centre of the picture,
-`b1` and `b2` (affinity and skew), and Brown's coefficients, whose p1 and p2 are OpenCV's p2 and
-p1; fisheyes are Kannala and Brandt's. A camera has the motion into its chunk, and the chunk, or
-the component in it, the one into the world, in metres. Cameras without a motion are not aligned
-and are left out.
+A sensor has the focal length `f`, the offsets `cx`, `cy` of the principal point from the image
+centre, and `b1`, `b2` (affinity and skew). Its Brown coefficients p1 and p2 are OpenCV's p2 and p1.
+Fisheye lenses are of Kannala and Brandt's model. A camera has the transform into its chunk. The
+chunk, or the component in it, has the transform into the world, in metres. Cameras without a
+transform are not aligned and are ignored.
 
 Source: Metashape Professional Edition User Manual, appendix on camera models.
 """
@@ -66,8 +66,11 @@ CAMERA_KEYS = Keys(
 
 
 def read_metashape(path: Path, unit_mm: float | None, lenses: Lenses | None) -> Rig:
-    """The aligned cameras, named by their labels. `unit_mm` is needed only without a motion of the
-    chunk, which has metres."""
+    """Read the aligned cameras, with the camera labels as names.
+
+    `unit_mm` is needed only if the chunk has no transform to the world. With a transform, the file
+    is in metres.
+    """
     chunk = parse_file(path, XML).find(".//chunk")
     if chunk is None:
         raise InputError(f"{path} has no chunk: give what Metashape exports as Agisoft XML.")
@@ -95,7 +98,10 @@ def read_metashape(path: Path, unit_mm: float | None, lenses: Lenses | None) -> 
 
 
 def _parse_xml(text: str) -> ElementTree.Element:
-    """The root element. Raises RefusedError for declarations, which may grow without bounds."""
+    """Parse an XML text and return the root element.
+
+    Raise `RefusedError` for declarations, whose expansion may need unlimited memory.
+    """
     if re.search(r"<!(DOCTYPE|ENTITY)", text, re.IGNORECASE):
         raise RefusedError("has declarations (<!DOCTYPE>), which trinoc does not follow.")
     return ElementTree.fromstring(text)
@@ -106,7 +112,7 @@ XML = Notation("XML", _parse_xml, (ElementTree.ParseError, ValueError), 100_000_
 
 
 def _block(element: ElementTree.Element, path: Path) -> Block:
-    """Attributes, properties and texts of an XML element by name.
+    """Collect attributes, properties and child texts of an XML element in one `Block`.
 
     Error messages name the element by its label.
     """
@@ -121,7 +127,7 @@ def _motion_of(component: ElementTree.Element | None) -> ElementTree.Element | N
 
 
 def _numbers(block: Block, key: str, count: int) -> np.ndarray:
-    """The numbers in a text, with blanks between."""
+    """Numbers (count,) in the text under a key, separated by blanks."""
     text = block.text(key) if key in block.values else ""
     try:
         values = [float(word) for word in text.split()]
@@ -161,7 +167,10 @@ def _lens(sensor: ElementTree.Element | None, path: Path, who: str) -> Intrinsic
 
 
 def _pose(block: Block, frame: ElementTree.Element | None, unit_mm: float | None) -> np.ndarray:
-    """cam_from_world in mm; `frame` is the motion of the chunk, if it has one."""
+    """Pose cam_from_world (3, 4) in mm of the camera in `block`.
+
+    `frame` is the element with the transform from the chunk to the world, or None.
+    """
     where = f'{block.file}: the camera "{block.place}"'
     if frame is None and unit_mm is None:
         raise InputError(

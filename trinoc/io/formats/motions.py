@@ -1,4 +1,4 @@
-"""Rigid motions as other tools write them: checked, chained, and as quaternions or vectors."""
+"""Rigid motions in other tools' notations: checks, composition, quaternions, rotation vectors."""
 
 import numpy as np
 import scipy
@@ -16,14 +16,20 @@ FARTHEST_MM = 1e15
 def motion(
     rotation: Float[np.ndarray, "3 3"], translation_mm: Float[np.ndarray, "3"], where: str
 ) -> Float[np.ndarray, "3 4"]:
-    """[R | t]; `where` begins the sentence of the InputError for what is no rotation."""
+    """Rigid motion [R | t] (3, 4) from a rotation and a translation in mm.
+
+    Raise `InputError` if the matrix is not a rotation. `where` begins the message: file and key.
+    """
     if not np.abs(translation_mm).max() < FARTHEST_MM:
         raise InputError(f"{where} is beside a translation beyond all bounds: correct it.")
     return np.concatenate([checked_rotation(rotation, where), translation_mm[:, None]], axis=1)
 
 
 def checked_rotation(rotation: Float[np.ndarray, "3 3"], where: str) -> Float[np.ndarray, "3 3"]:
-    """A proper rotation, exact to rounding. Raises InputError for a matrix that is none."""
+    """Return the rotation nearest to `rotation`, which may have rounding errors up to 1e-4.
+
+    Raise `InputError` if the matrix is not a rotation. `where` begins the message: file and key.
+    """
     small = np.abs(rotation).max() < 2  # products of larger ones may overflow
     error = np.abs(rotation @ rotation.T - np.eye(3)).max() if small else np.inf
     if not error < ROUNDED:
@@ -39,14 +45,18 @@ def checked_rotation(rotation: Float[np.ndarray, "3 3"], where: str) -> Float[np
 def from_homogeneous(
     matrix: Float[np.ndarray, "4 4"], unit_mm: float, where: str
 ) -> Float[np.ndarray, "3 4"]:
-    """[R | t] in mm of a 4 x 4 matrix in units of `unit_mm`. Raises InputError."""
+    """Rigid motion [R | t] (3, 4) in mm from a homogeneous matrix in units of `unit_mm`.
+
+    Raise `InputError` if the matrix is not a rigid motion. `where` begins the message: file and
+    key.
+    """
     if not np.allclose(matrix[3], (0, 0, 0, 1), rtol=0, atol=1e-12):
         raise InputError(f"{where} is no rigid motion: its last row must be 0 0 0 1.")
     return motion(matrix[:3, :3], matrix[:3, 3] * unit_mm, where)
 
 
 def homogeneous(pose: Float[np.ndarray, "3 4"], unit_mm: float = 1.0) -> Float[np.ndarray, "4 4"]:
-    """The 4 x 4 matrix of [R | t] in mm, in units of `unit_mm`."""
+    """Homogeneous matrix (4, 4) in units of `unit_mm` from a rigid motion [R | t] in mm."""
     matrix = np.eye(4)
     matrix[:3] = pose
     matrix[:3, 3] /= unit_mm
@@ -56,24 +66,28 @@ def homogeneous(pose: Float[np.ndarray, "3 4"], unit_mm: float = 1.0) -> Float[n
 def chain_motions(
     second: Float[np.ndarray, "3 4"], first: Float[np.ndarray, "3 4"]
 ) -> Float[np.ndarray, "3 4"]:
-    """The motion that does `first` and then `second`."""
+    """Composition of two rigid motions [R | t]; `first` is applied first, (3, 4)."""
     return second @ homogeneous(first)
 
 
 def inverse(pose: Float[np.ndarray, "3 4"]) -> Float[np.ndarray, "3 4"]:
-    """The way back."""
+    """Inverse of a rigid motion [R | t], (3, 4)."""
     rotation = pose[:, :3].T
     return np.concatenate([rotation, -(rotation @ pose[:, 3])[:, None]], axis=1)
 
 
 def quaternion_wxyz(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
-    """(w, x, y, z) of a rotation, w not negative."""
+    """Unit quaternion (w, x, y, z) of a rotation, with w >= 0."""
     x, y, z, w = scipy.spatial.transform.Rotation.from_matrix(rotation).as_quat(canonical=True)
     return np.array([w, x, y, z])
 
 
 def rotation_of_quaternion(wxyz: Float[np.ndarray, "4"], where: str) -> Float[np.ndarray, "3 3"]:
-    """The rotation of (w, x, y, z), of length 1 to the digits of a file. Raises InputError."""
+    """Rotation (3, 3) of a unit quaternion (w, x, y, z).
+
+    Raise `InputError` if the length differs from 1 by more than 1e-4, which is the rounding of
+    files. `where` begins the message: file and key.
+    """
     if not (np.abs(wxyz).max() < 2 and abs(np.linalg.norm(wxyz) - 1) < ROUNDED):
         raise InputError(f"{where} is no unit quaternion: correct it.")
     w, x, y, z = wxyz
@@ -81,10 +95,10 @@ def rotation_of_quaternion(wxyz: Float[np.ndarray, "4"], where: str) -> Float[np
 
 
 def rotation_vector(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
-    """Axis times angle in rad."""
+    """Rotation vector (3,) of a rotation: unit axis times angle in rad."""
     return scipy.spatial.transform.Rotation.from_matrix(rotation).as_rotvec()
 
 
 def rotation_of_vector(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Inverse of `rotation_vector`."""
+    """Rotation (3, 3) of a rotation vector; inverse of `rotation_vector`."""
     return scipy.spatial.transform.Rotation.from_rotvec(vector).as_matrix()

@@ -1,8 +1,8 @@
-"""mrcal's .cameramodel: one camera a file, a rig a folder of NAME.cameramodel.
+"""mrcal's .cameramodel: a file for each camera; a rig is a folder of NAME.cameramodel files.
 
-`extrinsics` is the rotation vector and the translation of x_cam = R x_ref + t, in metres as mrcal's
-own tools count (any other unit works there, too). The uncertainty that mrcal computes needs its
-own optimization inputs: a covariance is lost.
+`extrinsics` contains the rotation vector and the translation of x_cam = R x_ref + t. mrcal's own
+tools use metres, but any other unit works. A covariance is lost, because mrcal computes uncertainty
+from its own optimization inputs.
 """
 
 import ast
@@ -44,7 +44,10 @@ KEYS = Keys(
 
 
 def write_mrcal(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
-    """Write a lens, at the origin, as a file; a rig as a folder."""
+    """Write a lens as a file, or a rig as a folder of files.
+
+    Translations are in units of `unit_mm`. A lens is written as a camera at the origin.
+    """
     if isinstance(value, Intrinsics):
         write_text(path, _text(value, np.eye(3, 4), "", unit_mm))
         return
@@ -59,7 +62,7 @@ def write_mrcal(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
 
 
 def read_mrcal(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig | Intrinsics:
-    """The lens of a file, or the rig of a folder, its cameras by name of file."""
+    """Read the lens of a file, or the rig of a folder; a camera has the name of its file."""
     if not path.is_dir():
         return _camera(path, unit_mm).intrinsics
     files = sorted(path.glob(f"*{ENDING}"))
@@ -106,7 +109,7 @@ def _camera(path: Path, unit_mm: float) -> Camera:
 
 
 def _read_literal(path: Path) -> Block:
-    """The literal of a file: nothing in it is run."""
+    """Read the Python dictionary in a .cameramodel file without executing code."""
     block = make_block(parse_file(path, LITERAL), path)
     # The optimization inputs are binary; nothing here reads them.
     plain = {key: _lists(value) for key, value in block.values.items() if isinstance(key, str)}

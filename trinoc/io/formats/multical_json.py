@@ -1,8 +1,9 @@
-"""multical's calibration.json: `cameras` with their lenses, and `camera_poses` by camera.
+"""multical's calibration.json: lenses under `cameras`, and poses under `camera_poses`.
 
-`R` and `T` are of x_cam = R x_rig + T. multical itself writes the first camera at the origin and
-the others under `NAME_to_FIRST`, which is still the motion from FIRST to NAME. `dist` is a row for
-perspective lenses; a column of four is of multical's fisheye, whose `model` says nothing of it.
+`R` and `T` are those of x_cam = R x_rig + T. multical writes the first camera at the origin. The
+other cameras have the key `NAME_to_FIRST`, which contains the motion from FIRST to NAME. `dist` is
+a row for perspective lenses. A column of four numbers belongs to multical's fisheye, which `model`
+does not name.
 
 Source: io/export_calib.py, io/import_calib.py and camera_fisheye.py of multical.
 """
@@ -41,7 +42,7 @@ POSE_KEYS = Keys(read=("R", "T"))
 
 
 def write_multical(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write the lenses and the poses, each from the world."""
+    """Write lenses and poses; every pose is relative to the world, in units of `unit_mm`."""
     cameras, poses = {}, {}
     for name, camera in rig.items():
         if TO in name:
@@ -63,7 +64,10 @@ def write_multical(rig: Rig, path: Path, unit_mm: float) -> None:
 
 
 def read_multical(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
-    """The cameras that have a pose, from the world or from a camera that is at its origin."""
+    """Read the cameras and their poses.
+
+    A pose may be relative to another camera only if that camera is at the world origin.
+    """
     document = read_json(path)
     if "camera_poses" not in document.values:
         raise document.error(

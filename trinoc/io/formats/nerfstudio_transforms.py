@@ -1,9 +1,9 @@
 """nerfstudio's transforms.json: one frame for each camera, with its own lens.
 
-Cameras look along -z with y up, as OpenGL's, and poses are world_from_cam. The world stays as it
-is, Z up, as nerfstudio likes it. Pixels count from the corner of the top-left one, as in COLMAP,
-from which nerfstudio takes its principal points. `file_path` is images/NAME.png: put the pictures
-there. Read are also instant-ngp's files, whose focal length is an angle of view.
+Cameras look along -z with y up, as in OpenGL, and poses are world_from_cam. The world is unchanged,
+with Z up. The pixel origin is the corner of the top-left pixel, as in COLMAP, from which nerfstudio
+takes its principal points. `file_path` is images/NAME.png, where the user must put the images.
+Files of instant-ngp, whose focal length is an angle of view, are read, too.
 
 Source: nerfstudio_dataparser.py and cameras.py of nerfstudio, nerf_loader.cu of instant-ngp.
 """
@@ -73,7 +73,7 @@ FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def write_nerfstudio(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write the frames."""
+    """Write one frame for each camera; translations in units of `unit_mm`."""
     expect_file_names(rig, TITLE)
     frames = []
     for name, camera in rig.items():
@@ -99,8 +99,11 @@ def write_nerfstudio(rig: Rig, path: Path, unit_mm: float) -> None:
 
 
 def read_nerfstudio(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
-    """The frames as cameras, named by their pictures, and where two are called alike by their
-    paths; what a frame lacks stands at the top."""
+    """Read each frame as a camera.
+
+    A camera has the name of its image file without ending, or the path if two images have the same
+    name. Values that a frame does not have are those at the top level of the file.
+    """
     document = read_json(path)
     frames = document.values.get("frames")
     if not isinstance(frames, list) or not frames:
@@ -143,8 +146,8 @@ def _lens(block: Block) -> Intrinsics:
             raise block.error(
                 "distortion_params", "stands beside k1 or another of its numbers: remove either."
             )
-        given = block.numbers("distortion_params", (len(COEFFICIENTS),)).tolist()
-        coefficients = dict(zip(COEFFICIENTS, given, strict=True))
+        values = block.numbers("distortion_params", (len(COEFFICIENTS),)).tolist()
+        coefficients = dict(zip(COEFFICIENTS, values, strict=True))
     for key, value in coefficients.items():
         if value and key not in names:
             raise block.error(key, f"is {value:g}, which {model_name} does not have: correct it.")
@@ -160,7 +163,10 @@ def _lens(block: Block) -> Intrinsics:
 
 
 def _called(block: Block) -> str:
-    """The camera model, or what instant-ngp says in its place."""
+    """Name of the camera model in `READ`, from `camera_model` or from instant-ngp's `is_fisheye`.
+
+    The default is "OPENCV".
+    """
     model_name = block.text("camera_model") if "camera_model" in block.values else ""
     if not block.values.get("is_fisheye"):
         return model_name or "OPENCV"
@@ -172,7 +178,10 @@ def _called(block: Block) -> str:
 
 
 def _focal_px(block: Block, width: int, height: int) -> tuple[float, float]:
-    """The focal lengths, by the angles of view where these stand alone, as in instant-ngp."""
+    """Focal lengths along u and v, px.
+
+    Files of instant-ngp may have angles of view instead, from which the focal lengths are computed.
+    """
     if "fl_x" in block.values or "camera_angle_x" not in block.values:
         if "fl_x" not in block.values:
             raise block.error("fl_x", "is missing: add fl_x, fl_y, cx and cy, in px.")
@@ -191,7 +200,10 @@ def _focal_of_angle(block: Block, key: str, side_px: int) -> float:
 
 
 def _centre(block: Block, key: str, side_px: int) -> float:
-    """The principal point, in the middle where a file has an angle of view alone."""
+    """Coordinate `key` ("cx" or "cy") of the principal point, px.
+
+    In a file that has an angle of view instead of a focal length, the default is the image centre.
+    """
     if key not in block.values and "fl_x" not in block.values:
         return side_px / 2
     return block.number(key)

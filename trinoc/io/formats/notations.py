@@ -1,9 +1,8 @@
-"""Text of other tools as plain values, each notation parsed by a library and none of it run.
+"""Parsers of other tools' texts: each notation is parsed by a library to plain values.
 
-`parse_file` is the one place that bounds the size of a file, calls the library, and turns what it
-raises into one sentence. A format declares its notation. What is compiled and may crash on a
-damaged file, such as SciPy's reader of MATLAB files, runs in a process of its own instead
-(`child_process`).
+`parse_file` limits the size of the file, calls the library, and converts its exceptions to one
+sentence. No code in the text is executed. A compiled parser that may crash on a damaged file, such
+as SciPy's reader of MATLAB files, runs in a child process instead (`child_process`).
 """
 
 import os
@@ -21,15 +20,25 @@ MOST_BYTES_OF_TEXT = 16_000_000
 
 
 class RefusedError(Exception):
-    """A part of a text that trinoc does not follow; the message goes on after the file's name."""
+    """A text contains a construct that trinoc does not accept.
+
+    The message continues a sentence that begins with the file name.
+    """
 
 
 class Notation(NamedTuple):
-    """A notation and the library that parses it.
+    """A text notation such as YAML, with the function that parses it.
 
-    title : as a message goes on after "is not". parse : the text as values; it may raise
-    RefusedError. faults : what the library raises for a text that it cannot read. most_bytes : of
-    a file.
+    Attributes
+    ----------
+    title : str
+        Name of the notation in messages: "FILE is not YAML".
+    parse : callable
+        Function of the text that returns its values. It may raise `RefusedError`.
+    faults : tuple of exception types
+        Exceptions that `parse` raises for a text that is not in this notation.
+    most_bytes : int
+        Largest accepted file size.
     """
 
     title: str
@@ -39,7 +48,11 @@ class Notation(NamedTuple):
 
 
 def parse_file(path: str | os.PathLike[str], notation: Notation) -> Any:
-    """The values in a file of a notation. Raises InputError, in one sentence with the file."""
+    """Read and parse a file in a notation; return its values.
+
+    Raise `InputError` with one sentence that names the file if it is unreadable or in another
+    notation.
+    """
     text = read_text(path, notation.most_bytes)
     try:
         return notation.parse(text)
@@ -54,22 +67,28 @@ def parse_file(path: str | os.PathLike[str], notation: Notation) -> Any:
 
 
 def make_block(values: Any, path: str | os.PathLike[str]) -> Block:
-    """A parsed object with the file's name, for checks. Raises InputError for anything else."""
+    """Return a parsed object with its file name as a `Block`, whose methods check the values.
+
+    Raise `InputError` if `values` is not a dictionary.
+    """
     if not isinstance(values, dict):
         raise InputError(f"{path} holds no named values: give another file.")
     return Block(values, str(path), "")
 
 
 def read_json(path: str | os.PathLike[str]) -> Block:
-    """The object of a JSON file. Raises InputError for other content and for a key given twice."""
+    """Read the object of a JSON file as a `Block`.
+
+    Raise `InputError` if the content is not one object, or a key occurs twice.
+    """
     return make_block(parsed_json(read_text(path, MOST_BYTES), path), path)
 
 
 def read_yaml(path: str | os.PathLike[str]) -> Block:
-    """Read the map of a YAML file.
+    """Read the map of a YAML file as a `Block`.
 
-    If the file has several documents, they must be equal except for `header`, and the first is
-    returned. Raises InputError as `read_yaml_stream`.
+    If the file has several documents, they must be equal except for the key `header`. The first
+    document is then returned. Raise `InputError` as `read_yaml_stream` does.
     """
     first, *others = read_yaml_stream(path)
     for number, other in enumerate(others, 2):
@@ -82,10 +101,11 @@ def read_yaml(path: str | os.PathLike[str]) -> Block:
 
 
 def read_yaml_stream(path: str | os.PathLike[str]) -> list[Block]:
-    """The maps of a YAML file, one or several: `ros2 topic echo` ends each with the line `---`.
+    """Read all documents of a YAML file as a list of `Block`.
 
-    Tags, anchors and aliases are refused: no calibration needs them. OpenCV's own first line,
-    `%YAML:1.0`, is taken. Raises InputError, also where ruamel.yaml is not installed.
+    `ros2 topic echo`, for example, writes one document for each message. The first line `%YAML:1.0`
+    of OpenCV is accepted. Raise `InputError` if the text is not YAML, has tags, anchors or aliases,
+    or if the package ruamel.yaml is missing.
     """
     try:
         from ruamel.yaml import YAML
@@ -122,7 +142,10 @@ def _parse_yaml(parser: Any, text: str) -> list[Any]:
 
 
 def _only_json(value: Any) -> Any:
-    """A value of YAML as JSON holds it. Raises RefusedError for dates, binary data and such."""
+    """Convert a YAML value to a JSON value: keys of maps become strings.
+
+    Raise `RefusedError` for dates, binary data and other types that JSON does not have.
+    """
     if isinstance(value, dict):
         return {str(key): _only_json(item) for key, item in value.items()}
     if isinstance(value, list):

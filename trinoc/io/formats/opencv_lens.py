@@ -1,4 +1,4 @@
-"""Lenses as OpenCV has them, and many tools with it: a 3 x 3 matrix and coefficients."""
+"""Lenses as OpenCV and many tools store them: a 3 x 3 matrix and coefficients."""
 
 from typing import Any
 
@@ -24,7 +24,7 @@ READ = (
 
 
 def matrix_of_numbers(numbers: LensNumbers) -> list[list[float]]:
-    """The matrix fx 0 cx, 0 fy cy, 0 0 1."""
+    """Calibration matrix (3, 3) with the rows (fx 0 cx), (0 fy cy), (0 0 1), as lists."""
     (fx, fy), (cx, cy) = numbers.focal_px, numbers.centre_px
     return [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
 
@@ -37,9 +37,29 @@ def read_opencv_lens(
     called: str,
     where: str,
 ) -> Intrinsics:
-    """The lens under two keys, without distortion where the second is missing.
+    """Read a lens from a calibration matrix and OpenCV's distortion coefficients.
 
-    `called` is a row of `READ`; `where` begins the sentence of an InputError, as in `make_lens`.
+    Parameters
+    ----------
+    block : Block
+        Map of the file that contains both.
+    matrix_key, distortion_key : str
+        Keys of matrix and coefficients. Without the second key the lens has no distortion.
+    size_px : (width, height)
+        Size of the images.
+    called : str
+        Name of the model in `READ`: "" or "fisheye".
+    where : str
+        Beginning of the error message: the file, and the camera in the file.
+
+    Returns
+    -------
+    Intrinsics
+
+    Raises
+    ------
+    InputError
+        If the matrix has another form, or trinoc does not have a coefficient.
     """
     matrix = block.numbers(matrix_key, (3, 3))
     if abs(matrix[2] - (0, 0, 1)).max() > 0 or matrix[1, 0] != 0 or matrix[0, 1] != 0:
@@ -55,7 +75,7 @@ def read_opencv_lens(
 
 
 def flat_numbers(block: Block, key: str) -> np.ndarray:
-    """The numbers of a list, or of a row or a column of a matrix, one behind the other."""
+    """Numbers under a key as one array (n,): a list, or a row or column of a matrix."""
     value: Any = block.values.get(key)
     nested = isinstance(value, list) and any(isinstance(item, list) for item in value)
     return block.numbers(key, (None, None) if nested else (None,)).reshape(-1)

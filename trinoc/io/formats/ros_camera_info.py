@@ -1,9 +1,9 @@
 """ROS `camera_info` YAML, as `camera_calibration` writes and `camera_info_manager` reads it.
 
-A camera_info has no pose. A rig is written as a folder: NAME.yaml for each camera, and its poses in
-`tf_static.yaml`. The rectification is the identity and P is [K 0]: three cameras have no common
-rectified plane. Two that `camera_calibration` calibrated as a pair have one: without
-`tf_static.yaml` a folder is read by R and P.
+A camera_info has no pose. A rig is written as a folder: NAME.yaml for each camera, and the poses in
+`tf_static.yaml`. The rectification R is the identity and P is [K 0], because three cameras have no
+common rectified plane. A pair that `camera_calibration` calibrated has such a plane: a folder
+without `tf_static.yaml` is read by means of R and P.
 
 Source: sensor_msgs/CameraInfo; REP 104.
 """
@@ -75,7 +75,7 @@ ROWS = (
 
 
 def write_ros(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
-    """Write a lens as a file, or a rig as a folder."""
+    """Write a lens as a file, or a rig as a folder of files with the poses in `tf_static.yaml`."""
     if isinstance(value, Intrinsics):
         write_text(path, _text(value, "camera"))
         return
@@ -90,8 +90,11 @@ def write_ros(value: Rig | Intrinsics, path: Path, unit_mm: float) -> None:
 
 
 def read_ros(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig | Intrinsics:
-    """The lens of a file, or the rig of a folder: by `tf_static.yaml`, or, of a pair that was
-    rectified together, by R and P; the world is then the first camera."""
+    """Read the lens of a file, or the rig of a folder.
+
+    Poses come from `tf_static.yaml`. Without that file, the folder must contain a rectified stereo
+    pair: the poses then come from R and P, and the world is the frame of the first camera.
+    """
     if not path.is_dir():
         return _read_info(path).lens
     files = sorted(file for file in path.glob("*.yaml") if file.name != POSES)
@@ -107,7 +110,7 @@ def read_ros(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig | Intrins
 
 
 def expect_ros_name(name: str) -> None:
-    """Raise InputError for what ROS does not take as a name."""
+    """Raise `InputError` for a camera name that ROS does not accept."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise InputError(
             f'The camera "{name}" has no name that ROS takes: rename it with letters, digits and _.'
@@ -138,7 +141,17 @@ def _matrix(rows: int, columns: int, data: list[float]) -> dict[str, Any]:
 
 
 class _Info(NamedTuple):
-    """A camera_info: the lens, and the rectification (3, 3) and projection (3, 4) of a pair."""
+    """Content of a camera_info.
+
+    Attributes
+    ----------
+    lens : Intrinsics
+        The lens of the raw images.
+    rectified_from_cam : (3, 3)
+        Rectification R; the identity if the file has none.
+    projection : (3, 4)
+        Projection P of the rectified images, in px and metres; zeros if the file has none.
+    """
 
     lens: Intrinsics
     rectified_from_cam: np.ndarray
@@ -146,7 +159,7 @@ class _Info(NamedTuple):
 
 
 def _read_info(path: Path) -> _Info:
-    """From a calibration file, or from a message as `ros2 topic echo` prints it."""
+    """Read a calibration file, or a camera_info message as `ros2 topic echo` prints it."""
     document = read_yaml(path)
     if "camera_matrix" in document.values:
         block = FILE_KEYS.take(document)
@@ -188,7 +201,10 @@ def _read_info(path: Path) -> _Info:
 
 
 def _expect_whole_picture(roi: Block, size: list[float]) -> None:
-    """Raise InputError for a part of the picture: the lens is that of the whole."""
+    """Raise `InputError` if a message's region of interest is only a part of the image.
+
+    `size` is the size (width, height) of the whole image, which the lens belongs to.
+    """
     part = [roi.number(key) if key in roi.values else 0.0 for key in ROI_KEYS.read]
     if part not in ([0.0, 0.0, 0.0, 0.0], [0.0, 0.0, *size]):
         raise InputError(
@@ -199,7 +215,11 @@ def _expect_whole_picture(roi: Block, size: list[float]) -> None:
 
 
 def _rectified_rig(infos: dict[str, _Info], path: Path) -> Rig:
-    """Cameras that share a rectified frame: P of each is K' [I | t], t its shift to the side."""
+    """Rig of cameras that were rectified together; the world is the frame of the first camera.
+
+    The projection P of each camera is K' [I | t]. t is the translation from the common rectified
+    frame to the rectified frame of the camera, in metres.
+    """
     names = list(infos)
     shifts_mm = {}
     for name, info in infos.items():

@@ -1,8 +1,8 @@
-"""2-D segments as the text of other detectors: a row x1 y1 x2 y2 for each, and what they add.
+"""2-D segments in the text formats of other detectors: a row for each, beginning x1 y1 x2 y2.
 
-LSD's command line adds width, precision and -log10 of the false alarms (7 columns); ELSED a score
-(5 columns) where asked; LIMAP's segments_<image>.txt begins with the number of rows. All put (0, 0)
-at the centre of the top-left pixel. Read are the ends; what else stands in a row is left out.
+LSD's command line adds width, precision and -log10 of the false alarms (7 columns). ELSED may add a
+score (5 columns). LIMAP's segments_<image>.txt begins with the number of rows. In all formats (0,
+0) is the centre of the top-left pixel. Only the ends are read.
 """
 
 from collections.abc import Callable
@@ -18,17 +18,20 @@ from trinoc.io.formats.format import COVARIANCE, DETAILS, Format, Lenses
 
 
 def write_rows(segments: Segments, path: Path, unit_mm: float) -> None:
-    """A row of four numbers for each segment."""
+    """Write one row x1 y1 x2 y2 in px for each segment."""
     write_text(path, "".join(_rows(segments)))
 
 
 def write_counted(segments: Segments, path: Path, unit_mm: float) -> None:
-    """The number of segments, then the rows."""
+    """Write the number of segments, then one row x1 y1 x2 y2 in px for each segment."""
     write_text(path, "".join([f"{len(segments)}\n", *_rows(segments)]))
 
 
 def read_rows(*columns: int) -> Callable[[Path, float, Lenses | None], Segments]:
-    """A reader of rows with one of these numbers of columns."""
+    """Return a reader of text files whose rows have one of the numbers of columns in `columns`.
+
+    The first four columns are x1 y1 x2 y2 in px; further columns are ignored.
+    """
 
     def read(path: Path, unit_mm: float, lenses: Lenses | None) -> Segments:
         return _segments(read_text(path).splitlines(), path, columns, 1)
@@ -37,7 +40,7 @@ def read_rows(*columns: int) -> Callable[[Path, float, Lenses | None], Segments]
 
 
 def read_counted(path: Path, unit_mm: float, lenses: Lenses | None) -> Segments:
-    """Rows below their number."""
+    """Read the number of segments in the first line, then one row x1 y1 x2 y2 for each segment."""
     first, *lines = read_text(path).splitlines() or [""]
     segments = _segments(lines, path, (4,), 2)
     if first.strip() != str(len(segments)):

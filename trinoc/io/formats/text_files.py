@@ -1,4 +1,4 @@
-"""Names, numbers and folders as other tools' text files have them."""
+"""Folders, file names and YAML text for the text files of other tools."""
 
 import contextlib
 import json
@@ -16,9 +16,10 @@ from trinoc.errors import InputError
 
 @contextlib.contextmanager
 def atomic_folder(target: Path) -> Iterator[Path]:
-    """A scratch folder that takes the name `target` when the block ends, and vanishes if it fails.
+    """Context manager for a scratch folder that is renamed to `target` at the end of the block.
 
-    `target` is new or empty. Raises InputError where it cannot be written.
+    If the block fails, the scratch folder is deleted. `target` must be new or empty. Raise
+    `InputError` if the folder cannot be created.
     """
     scratch = target.absolute().with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
     try:
@@ -46,10 +47,11 @@ LONGEST_CAMERA_NAME = 200
 
 
 def expect_file_names(names: Iterable[str], title: str) -> None:
-    """Check that names of cameras can name files beside each other, on every system.
+    """Raise `InputError` for camera names that cannot be file names in one folder on every system.
 
-    Raises InputError for letters that some system refuses, for a name that is too long, and for two
-    names that are one where capital letters or composed characters make no difference.
+    Such a name is too long, or has a character that some system refuses. Two names also conflict if
+    they differ only by upper and lower case or by Unicode composition. `title` names the format in
+    the message.
     """
     name_of: dict[str, str] = {}
     for name in names:
@@ -63,19 +65,20 @@ def expect_file_names(names: Iterable[str], title: str) -> None:
                 f'The camera "{name}" names a file in {title}: rename it with at most '
                 f"{LONGEST_CAMERA_NAME} letters."
             )
-        plain = unicodedata.normalize("NFC", name).casefold()
-        if plain in name_of:
+        key = unicodedata.normalize("NFC", name).casefold()
+        if key in name_of:
             raise InputError(
-                f'The cameras "{name_of[plain]}" and "{name}" name the same file of {title} on '
+                f'The cameras "{name_of[key]}" and "{name}" name the same file of {title} on '
                 "some systems: rename one of them."
             )
-        name_of[plain] = name
+        name_of[key] = name
 
 
 def yaml_text(values: Any, indent: str = "") -> str:
-    """Maps in block style, lists of numbers in one line, lists of others below each other.
+    """Convert maps, lists, numbers and strings to YAML text.
 
-    Texts are quoted, and numbers have a point, so that every version of YAML reads them alike.
+    Maps are written in block style, and a list of numbers on one line. Strings are quoted and
+    floats have a decimal point, so that all versions of YAML read the same values.
     """
     if isinstance(values, dict):
         return "".join(f"{indent}{key}:{_item(value, indent)}" for key, value in values.items())
@@ -90,7 +93,7 @@ def yaml_text(values: Any, indent: str = "") -> str:
 
 
 def scalar_or_list(value: Any) -> str:
-    """A number, a text, or a list of them on one line."""
+    """YAML text on one line of a number, a string, or a list of these."""
     if isinstance(value, list):
         return f"[{', '.join(map(scalar_or_list, value))}]"
     if isinstance(value, float):

@@ -1,12 +1,12 @@
 """Poses as static transforms of ROS: a `tf2_msgs/TFMessage` as YAML or JSON.
 
-`ros2 topic pub -1 /tf_static tf2_msgs/msg/TFMessage "$(cat FILE)"` takes either. The JSON has
-besides, under `static_transform_publisher`, the arguments of that program for each camera, as a
-launch file gives them. Each transform is the pose of the frame NAME_optical_frame (x right, y
-down, z forward) in the frame `world`: world_from_cam. Lenses are not in it.
+`ros2 topic pub -1 /tf_static tf2_msgs/msg/TFMessage "$(cat FILE)"` accepts both. The JSON also has
+the arguments of `static_transform_publisher` for each camera, as in a launch file. Each transform
+is the pose world_from_cam of the frame NAME_optical_frame (x right, y down, z forward) in the frame
+`world`. Lenses are not included.
 
-By REP 103 a frame without that ending looks along x, with z up: it is the camera's body, and no
-camera is read from it.
+By REP 103 a frame without this ending looks along x, with z up. It is the body of the camera, and
+no camera is read from it.
 """
 
 import json
@@ -40,7 +40,10 @@ KEYS = Keys(read=("header", "child_frame_id", "transform"))
 
 
 def write_tf(rig: Rig, path: Path, unit_mm: float) -> None:
-    """Write the poses, in metres. Raises InputError for names that no frame can have."""
+    """Write the poses world_from_cam as static transforms; translations in units of `unit_mm`.
+
+    Raise `InputError` for a camera name that cannot be the name of a TF frame.
+    """
     transforms = []
     for name, camera in rig.items():
         if name == WORLD or any(letter.isspace() or letter == "/" for letter in name):
@@ -57,7 +60,11 @@ def write_tf(rig: Rig, path: Path, unit_mm: float) -> None:
 
 
 def read_tf(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
-    """The cameras of `lenses` at the poses of the file, in the frame that all hang from."""
+    """Read the poses of the cameras in `lenses`, and return a rig with these lenses.
+
+    The world is the frame at the root of the tree of transforms, which must be the same for all
+    cameras.
+    """
     if not lenses:
         raise InputError(f"{path} holds poses alone: give the lenses, too (--lens rig.json).")
     is_json = path.suffix.lower() == ".json"
@@ -84,9 +91,10 @@ def read_tf(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
 
 
 def _find_frames(lenses: Lenses, parents: Collection[str], path: Path) -> dict[str, str]:
-    """Name the optical frame of each camera of `lenses`, in the order of the file.
+    """Name of the optical frame of each camera of `lenses`, keyed by camera, in the file's order.
 
-    Raises InputError where the file has none of these frames, or only the camera's body.
+    `parents` contains the names of all frames of the file. Raise `InputError` if the optical frame
+    of a camera is missing, or if only the frame of its body exists.
     """
     frames = {}
     for name in lenses:
@@ -131,9 +139,9 @@ def _arguments(entry: dict[str, Any]) -> list[str]:
 
 
 def _parents(documents: list[Block], unit_mm: float) -> dict[str, tuple[str, np.ndarray]]:
-    """Collect the parent of each frame, and the motion parent_from_frame, from all messages.
+    """Collect (parent frame, parent_from_frame (3, 4) in mm) of each frame, from all messages.
 
-    Each publisher sends a message of its own, and some send theirs again.
+    A file has several messages, because each publisher sends its own. Some messages are repeated.
     """
     parents: dict[str, tuple[str, np.ndarray]] = {}
     for document in documents:
