@@ -272,6 +272,7 @@ def test_sigma_px_applies_to_every_frame(recording):
     segments = {v: trinoc.load_segments(recording / "frames" / f"0_{v}.csv") for v in RIG.names}
     (result,) = parts.match_part_frames({"0": segments}, RIG, sigma_px=0.25)
     expected = trinoc.match_segments(segments, RIG, sigma_px=0.25)
+    assert result.matches is not None
     np.testing.assert_allclose(result.matches.covariance_mm2, expected.covariance_mm2, rtol=1e-9)
     with_own_sigmas = trinoc.match_segments(segments, RIG)
     assert not np.allclose(result.matches.covariance_mm2, with_own_sigmas.covariance_mm2, rtol=0.1)
