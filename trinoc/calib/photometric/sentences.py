@@ -3,49 +3,50 @@
 from trinoc.image.response import PowerResponse
 
 TWO_LEVELS = (
-    "the grey levels cannot be fitted, because the image has only two levels: deliver 8 bits or "
-    "more."
+    "the grey levels cannot be fitted, because the image has only two levels. Give an image of 8 "
+    "bits or more."
 )
 TOO_FEW_EDGES = (
-    "the grey levels cannot be fitted, because too few edges of the sheet are visible or their "
-    "contrast is too low: show more of the sheet, or use more light."
+    "the grey levels cannot be fitted, because too few circles and lines of the sheet are visible, "
+    "or their contrast is too low. Show more of the sheet, or use more light."
 )
 NOT_CONVERGED = (
-    "the fit to the grey levels did not converge: check focus and light, and that nothing covers "
+    "the fit to the grey levels did not converge. Check focus and light, and that nothing covers "
     "the sheet."
 )
-S_CURVE = "response with an s-curve"
-WIDE_TAILS = "blur with wide tails"
-FLAT_TOP = "blur with a flat top"
+S_CURVE = "an s-shaped response of the camera"
+WIDE_TAILS = "a blur with wide tails"
+FLAT_TOP = "a blur with a flat top"
 SATURATED = "saturated paper"
 UNEVEN_LIGHT = "uneven light"
 
 
 def contradicts_circles(distance_px: float) -> str:
-    """The fit moved a circle by more than its position can be wrong."""
+    """The fit moved a circle by more than the error of its detected centre can be."""
     return (
-        f"the grey levels contradict the circles by {distance_px:.2f} px: check that nothing "
-        "covers the sheet."
+        f"the fit to the grey levels moves a circle by {distance_px:.2f} px, which contradicts its "
+        "detected centre. Check that nothing covers the sheet."
     )
 
 
 def response_of(bend: float, sigma: float) -> str:
-    """The camera has a nonlinear response.  sigma : standard deviation of `bend`."""
+    """The camera has a nonlinear response. bend : 0 linear, 1 sRGB. sigma : of `bend`."""
     return (
-        f"response {PowerResponse(bend).description} ({bend:.2f} +- {sigma:.2f}, 0 linear, 1 sRGB)"
+        f"a camera response {PowerResponse(bend).description} ({bend:.2f} +- {sigma:.2f}, where 0 "
+        "is linear and 1 is sRGB)"
     )
 
 
 def sharpened(amplitude: float) -> str:
-    """Software has sharpened the image by an amplitude."""
-    return f"sharpened ({amplitude:.2f})"
+    """Software has sharpened the image. amplitude : of the point spread function's lobe."""
+    return f"sharpening by software (amplitude {amplitude:.2f})"
 
 
 def moved(length_px: float, angle_deg: float) -> str:
     """Camera or sheet moved during the exposure."""
-    return f"motion blur of {length_px:.1f} px at {angle_deg:.0f} degrees"
+    return f"a motion blur of {length_px:.1f} px at {angle_deg:.0f} degrees"
 
 
 def correlated_noise(inflation: float) -> str:
-    """Neighbouring pixels have correlated noise.  inflation : variance of a mean over white's."""
+    """Neighbouring pixels have correlated noise. inflation : variance of a mean over white's."""
     return f"correlated noise of neighbouring pixels ({inflation:.1f} times the variance)"
