@@ -435,13 +435,13 @@ def test_the_command_matches_as_the_library_does(recording, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--shard", "3/2"], "--shard 3/2 is no job"),
-        (["--shard", "x"], "--shard x is no job"),
+        (["--shard", "3/2"], "--shard is 3/2"),
+        (["--shard", "x"], "--shard is x"),
         (["--workers", "0"], "--workers is 0"),
         (["--workers", "four"], "give a number of processes"),
         (["--find", "arcs=perhaps"], "neither yes nor no"),
         (["--memory-gb", "-1"], "--memory-gb is -1"),
-        (["--depth-range-mm", "5", "1"], "holds no depth"),
+        (["--depth-range-mm", "5", "1"], "contains no depth"),
     ],
 )
 def test_mistaken_options_are_usage_errors(recording, tmp_path, capsys, options, said):

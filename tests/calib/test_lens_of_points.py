@@ -72,7 +72,7 @@ def test_a_skew_that_points_ask_for_is_fitted_and_its_covariance_is_true() -> No
         found = calibrate_points(points, see(camera, points, random), image_size_px=SIZE_PX)
         assert found.overall_status is Status.CONVERGED
         assert found.lens_parameters == (*AFFINE_PARAMETERS, "skew_px")
-        assert "no sensor has" in found.notes[0]
+        assert "sensors have no skew" in found.notes[0]
         off = float(found.camera.intrinsics.skew_px) - float(SKEWED.skew_px)
         assert abs(off) < 4.5 * found.sigma("skew_px")
         squared.append(squared_error_of_centre(found, camera))

@@ -207,7 +207,7 @@ def test_a_screen_as_target_gets_a_picture_and_a_layout(tmp_path, capsys):
         (("-o", "sheet.png"), 2, "--screen size_px=1920,1080"),
         (("-o", "sheet.png", "--screen", "size_px=1920,-1080", "diagonal_inch=24"), 2, "width"),
         (("-o", "sheet.png", *SCREEN[:-1]), 2, "diagonal_inch=INCH"),
-        (("-o", "sheet.png", *SCREEN, "pitch_mm=0.27"), 2, "one of two"),
+        (("-o", "sheet.png", *SCREEN, "pitch_mm=0.27"), 2, "exactly one setting"),
         (("-o", "sheet.png", *SCREEN[:-1], "diagonal_inch=610"), 2, "inches"),
         (("-o", "sheet.png", "--screen", "size_px=4,3", "diagonal_inch=24"), 2, "millimetres"),
         (("-o", "sheet.png", *SCREEN[:-1], "diagonal_inch=9"), 1, "the screen is 199 x 112 mm"),
@@ -259,7 +259,7 @@ def test_settings_are_read_by_their_parsers():
         (["c=1,2,3"], "more than two"),
         (["c=1.5"], "no whole number"),
         (["a_m=1"], "write a_mm=VALUE"),
-        (["upper=u.png"], "it has a_mm, b, c; files stand before the options"),
+        (["upper=u.png"], "the settings are a_mm, b, c; write files before the options"),
     ):
         with pytest.raises(UsageError, match=why):
             read_settings("--x", [words], parsers)

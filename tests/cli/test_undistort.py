@@ -187,12 +187,20 @@ def test_pictures_of_equal_names_get_those_of_their_cameras(folder):
         (("left.png", "./left.png", "--lens", "camera.json"), 2, "would both become"),
         (("left.png", "none.png", "--lens", "camera.json"), 1, "none.png does not exist"),
         (("left.png", "notes.txt", "--lens", "camera.json"), 1, "not a readable picture"),
-        ((*PICTURES, *RIG, "-o", "."), 2, "is read, and would be lost"),
-        ((*PICTURES, *RIG, "-o", ".", "--force"), 2, "is read, and would be lost"),
-        (("left.png", "--lens", "camera.json", "-o", "."), 2, "is read, and would be lost"),
-        ((*PICTURES, *RIG, "-o", "notes.txt"), 2, "is no folder"),
-        ((*PICTURES, *RIG, "-o", "full"), 1, "full/left.png is there and would be lost"),
-        ((*PICTURES, *RIG, "-o", "other"), 1, "holds something else, which would be lost"),
+        ((*PICTURES, *RIG, "-o", "."), 2, "is an input and would be overwritten"),
+        ((*PICTURES, *RIG, "-o", ".", "--force"), 2, "is an input and would be overwritten"),
+        (
+            ("left.png", "--lens", "camera.json", "-o", "."),
+            2,
+            "is an input and would be overwritten",
+        ),
+        ((*PICTURES, *RIG, "-o", "notes.txt"), 2, "is not a folder"),
+        ((*PICTURES, *RIG, "-o", "full"), 1, "full/left.png exists and would be overwritten"),
+        (
+            (*PICTURES, *RIG, "-o", "other"),
+            1,
+            "contains something else, which would be overwritten",
+        ),
     ],
 )
 def test_what_cannot_be_is_one_sentence_and_writes_nothing(folder, words, status, says, capsys):

@@ -145,10 +145,10 @@ def test_of_a_camera_pictures_that_show_something_new_are_kept(folder, capsys, m
     ("options", "said"),
     [
         (("watch", "in", "--every-s", "0"), "--every-s is 0"),
-        (("watch", "in", "--keep", "k"), "--keep goes with a camera"),
+        (("watch", "in", "--keep", "k"), "--keep is an option for cameras"),
         (("watch", "in", "--port", "65536"), "--port is 65536"),
         (("watch", "in", "--port", "-1"), "--port is -1"),
-        (("watch", "0", "--once"), "--once goes with a folder"),
+        (("watch", "0", "--once"), "--once is an option for folders"),
     ],
 )
 def test_options_that_do_not_go_together_are_named(options, said, capsys) -> None:

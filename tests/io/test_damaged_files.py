@@ -328,7 +328,7 @@ def test_a_picture_that_announces_more_than_it_holds_takes_no_memory(folder, at,
     file = folder / "short.png"
     file.write_bytes(whole[:at] + struct.pack(">I", announced) + whole[at + 4 :])
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with pytest.raises(InputError, match="announces more than it holds"):
+    with pytest.raises(InputError, match="is incomplete or states a wrong size"):
         read_image(file)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000
 
@@ -371,7 +371,7 @@ def test_cameras_that_cannot_be_are_refused(folder, documents, damage):
             lens["pixel_pitch_mm"] = [16.2, 13.4]
         case _:
             document["cameras"]["left"] = {k: v for k, v in upper.items() if k != "sigma"}
-            said = {damage: "stand at one place"}
+            said = {damage: "have the same position"}
     path = folder / "impossible.json"
     path.write_text(json.dumps(document))
     with pytest.raises(InputError, match=said.get(damage, "focal.length")):

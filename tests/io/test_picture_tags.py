@@ -125,7 +125,9 @@ def test_a_picture_drawn_in_its_transparency_is_refused(tmp_path):
     black = np.zeros((5, 7, 4), dtype=np.uint8)
     black[..., 3] = GREY
     Image.fromarray(black).save(tmp_path / "a.png")
-    with pytest.raises(InputError, match=r"a\.png is drawn in its transparency alone.* on white"):
+    with pytest.raises(
+        InputError, match=r"a\.png has a drawing in its transparency only.* on white"
+    ):
         read_image(tmp_path / "a.png")
     black[..., 3] = 255
     Image.fromarray(black).save(tmp_path / "b.png")

@@ -142,7 +142,7 @@ def test_files_that_are_no_json(tmp_path):
         (" ", "is empty: give another file"),
         ("{", r"is not JSON \(line 1, column 2"),
         ("[]", "has the format missing"),
-        ('{"format": "trinoc-rig", "format": "trinoc-rig"}', 'key "format" stands twice'),
+        ('{"format": "trinoc-rig", "format": "trinoc-rig"}', 'key "format" occurs twice'),
     ]:
         path.write_text(text)
         with pytest.raises(InputError, match=sentence):

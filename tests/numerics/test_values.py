@@ -96,7 +96,7 @@ def test_a_file_of_something_else_is_not_overwritten(tmp_path) -> None:
     for value in (demo_pattern(), LENS):
         with pytest.raises(
             InputError,
-            match=r"rig\.json is there and holds a file of trinoc-rig.*"
+            match=r"rig\.json exists and contains a file of trinoc-rig.*"
             "overwrite=True",
         ):
             trinoc.save(value, place)

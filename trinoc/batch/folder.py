@@ -133,8 +133,8 @@ def _describe(file: Path, description: Mapping[str, Any]) -> None:
     for key in {**description, **existing}:
         if existing.get(key) != description.get(key):
             raise InputError(
-                f'{file.parent} has results that differ in "{key}". Give the same recording, rig '
-                "and options to continue them, or choose another folder."
+                f'{file.parent} contains results of a run with another "{key}". To continue that '
+                "run, give the same recording, rig and options; otherwise choose another folder."
             )
 
 
@@ -147,8 +147,8 @@ def _lock(stream: Any, manifest: Path) -> None:
         fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         raise InputError(
-            f"Another trinoc batch is writing {manifest}. Wait for its end, or give each its own "
-            "shard."
+            f"Another `trinoc batch` is writing {manifest}. Wait until that run has ended, or give "
+            "each run its own shard (--shard)."
         ) from error
     except OSError:
         pass  # a file system without locks

@@ -204,11 +204,14 @@ def _result(part: RecordingPart, future: Future[Any], where: str) -> list[FrameM
         raise
     except Exception as error:
         if type(error).__name__ == "KilledWorker":
-            reason = "The workers of this frame's part died. Check their logs for lack of memory."
+            reason = (
+                "The worker processes of this part of the recording died. Check their logs for "
+                "lack of memory."
+            )
             return [FrameMatches(frame.name, reason, None) for frame in part.frames]
         raise InputError(
-            f"The work at {where} ended early ({type(error).__name__}: {error}). Finished results "
-            "are kept; the same command continues from there."
+            f"The processing at {where} ended early ({type(error).__name__}: {error}). Finished "
+            "results are kept; run the same command again to continue."
         ) from error
 
 

@@ -37,12 +37,16 @@ def find_frames(
     path = Path(location)
     if path.suffix.lower() == ".csv" and not path.is_dir():
         if template is not None:
-            raise InputError(f"{path} already lists the files. Omit the template.")
+            raise InputError(
+                f"{path} lists the files itself, so a template is not used. Omit the template."
+            )
         frames = frames_of_table(read_text(path), cameras, str(path))
         return Source(path.parent, frames, _views(frames, cameras))
     if not path.is_dir():
         refuse_videos([path])
-        raise InputError(f"{path} is no folder and no CSV table. Give the recording's folder.")
+        raise InputError(
+            f"{path} is neither a folder nor a CSV table. Give the folder of the recording."
+        )
     try:
         folders = max(camera.count("/") for camera in cameras)
         depth = folders + (1 if template is None else folder_depth(template))

@@ -92,7 +92,7 @@ def calibrate_intrinsics(
     board in each image, and the scales and the warp of the board. Circles are fitted by the exact
     images of their centres.
     """
-    image_list = "a list of pictures, or of what detect_target found in them"
+    image_list = "a list of images, or of the results of detect_target for these images"
     check_kind(images_or_detections, (Sequence, np.ndarray), "list of pictures", image_list)
     check_kind(pattern, AbstractTarget, "pattern", A_BOARD)
     if principal_point not in ("free", "centre"):
@@ -174,8 +174,8 @@ def _expect_usable(boards: BoardDetections, image_size_px: tuple[int, int] | Non
                 " x ".join(map(str, size)) for size in (detection.image_size_px, image_size_px)
             )
             raise InputError(
-                f"{capitalise(shot)} has {actual} pixels instead of {expected}: give images of one "
-                "camera at one resolution."
+                f"{capitalise(shot)} has {actual} pixels, but the other images have {expected}: "
+                "give images of one camera at one resolution."
             )
         for name, other in earlier.items():
             if np.array_equal(other.centres_px, detection.centres_px):

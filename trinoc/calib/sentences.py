@@ -74,7 +74,10 @@ def circles_leave_free(circles: int, parameters: Sequence[str]) -> str:
 
 
 def fit_did_not_converge(circles: int, folds_at_radius: str | None) -> str:
-    """A fit without a minimum. folds_at_radius : description of the lens's fold, if it may be the cause."""
+    """A fit without a minimum.
+
+    folds_at_radius : description of the lens's fold; None unless the fold may be the cause.
+    """
     cause = "" if folds_at_radius is None else f", because the lens {folds_at_radius}"
     check = "Check that the pattern file and the lens belong to this image."
     remedy = check if folds_at_radius is None else capitalise(FOLD_REMEDY)
@@ -451,17 +454,17 @@ def lens_choice(
 def lens_folds(camera: str, folds_at_radius: str) -> str:
     """A lens that must not be used. folds_at_radius : description of its fold."""
     return (
-        f'The fitted distortion of "{camera}" {folds_at_radius}. Show the board nearer to the image corners, '
-        "fit fewer coefficients (distortion=1 or distortion=2), or choose the lens model rational "
-        "or kannala_brandt."
+        f'The fitted distortion of "{camera}" {folds_at_radius}. Show the board nearer to the '
+        "image corners, fit fewer coefficients (distortion=1 or distortion=2), or choose the lens "
+        "model rational or kannala_brandt."
     )
 
 
 def lens_folds_outside(camera: str, folds_at_radius: str) -> str:
     """A lens that folds where nothing was observed. folds_at_radius : description of its fold."""
     return (
-        f'The distortion of "{camera}" {folds_at_radius}. To use this part of the image, show the board '
-        "nearer to the image corners."
+        f'The distortion of "{camera}" {folds_at_radius}. To use this part of the image, show the '
+        "board nearer to the image corners."
     )
 
 
@@ -475,8 +478,8 @@ def lens_model_widened(
 ) -> str:
     """Another lens model was used, because the first one folds the image of a camera."""
     return (
-        f'The {model} distortion of "{camera}" {folds_at_radius}. The lens model {wider_model} was used '
-        f"therefore; its rms residual is {rms_px:.3f} px, and that of {model} is "
+        f'The {model} distortion of "{camera}" {folds_at_radius}. The lens model {wider_model} was '
+        f"used therefore. Its rms residual is {rms_px:.3f} px, and that of {model} is "
         f"{folding_rms_px:.3f} px."
     )
 
@@ -487,9 +490,9 @@ def folding_coefficients_fixed(
     """Coefficients that were fixed at 0, because the lens folds the image with them."""
     coefficients, verb = ", ".join(names), "was" if len(names) == 1 else "were"
     return (
-        f'The distortion of "{camera}" fitted with {coefficients} {folds_at_radius}. Therefore {coefficients} '
-        f"{verb} fixed at 0, which changes the rms residual from {folding_rms_px:.3f} to "
-        f"{rms_px:.3f} px. Show the board nearer to the image corners."
+        f'The distortion of "{camera}" fitted with {coefficients} {folds_at_radius}. Therefore '
+        f"{coefficients} {verb} fixed at 0, which changes the rms residual from "
+        f"{folding_rms_px:.3f} to {rms_px:.3f} px. Show the board nearer to the image corners."
     )
 
 

@@ -56,11 +56,15 @@ def next_goal(qualities: Sequence[ImageQuality]) -> Goal | None:
         side, axis, sign = missing[0]
         lean = (sign * _LEANING, 0.0) if axis == 0 else (0.0, sign * _LEANING)
         return Goal(
-            f"Tilt the board, its {side} side farther away, filling half the picture.", lean=lean
+            f"Tilt the board with its {side} side farther away, and let the board fill half of the "
+            "picture.",
+            lean=lean,
         )
     if len(good) < FEWEST_PICTURES:
         missing_count = FEWEST_PICTURES - len(good)
-        sentence = f"Take {missing_count} more, turned and tilted otherwise."
+        sentence = (
+            f"Take {missing_count} more pictures, with the board turned and tilted differently."
+        )
         return Goal(sentence, lean=(_LEANING, _LEANING), turn_deg=20.0 * missing_count)
     return None
 

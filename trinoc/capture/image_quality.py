@@ -186,14 +186,20 @@ def _faults(
     faults = []
     if not is_detected and math.isnan(blur_px):
         faults.append(
-            "hardly anything has an edge: see that the lens cap is off, and the file right"
+            "the picture has almost no edges: check that the lens cap is off, and that this is the "
+            "right file"
         )
     if blur_px > SOFTEST_PX:
-        faults.append(f"edges are {blur_px:.1f} px wide: focus on the board, hold it still")
+        faults.append(
+            f"edges are {blur_px:.1f} px wide: focus on the board, and hold the board still"
+        )
     if exposure.saturated > MOST_SATURATED:
-        faults.append(f"{exposure.saturated:.0%} is saturated: shorten the exposure")
+        faults.append(f"{exposure.saturated:.0%} of the pixels are saturated: shorten the exposure")
     if exposure.paper < DARKEST_PAPER:
-        faults.append(f"the paper reaches {exposure.paper:.0%} of white: more light")
+        faults.append(f"the paper has only {exposure.paper:.0%} of the white level: use more light")
     if smallest_px < SMALLEST_CIRCLE_PX:
-        faults.append(f"circles are {smallest_px:.0f} px across: nearer, or a larger sheet")
+        faults.append(
+            f"circles are only {smallest_px:.0f} px wide: move the camera nearer, or use a larger "
+            "sheet"
+        )
     return faults

@@ -103,8 +103,8 @@ def batch(
         )
     except KeyboardInterrupt as error:
         raise Interruption(
-            f"Interrupted: {progress.done} of {progress.total} frames are done and kept in "
-            f"{out}; the same command goes on from there."
+            f"Interrupted: {progress.done} of {progress.total} frames are done and kept in {out}; "
+            "run the same command again to continue."
         ) from error
     finally:
         progress.close()
@@ -163,20 +163,20 @@ def _outcome(result: "BatchOutcome", report: Path | None) -> Outcome:
     if result.without:
         sentences.append(f"no picture of {list_names(result.without)}, which were left out")
     if result.failed:
-        sentences.append(f"{result.failed} failed; the manifest says why")
+        sentences.append(f"{result.failed} failed; the manifest contains the reasons")
     if result.suspect:
         sentences.append(f"{result.suspect} do not seem to belong to the rig")
     if result.uncertain:
-        sentences.append(f"use {result.uncertain} with care; the manifest says why")
+        sentences.append(f"use {result.uncertain} with care; the manifest contains the reasons")
     record = pick(result, "frames", "failed", "suspect", "uncertain", "tracks", "earlier")
     record["workers"] = result.workers if result.frames > result.earlier else 0
     refusal = None
     if result.frames and result.failed == result.frames:
-        refusal = f"All {result.frames} frames failed: {result.manifest} says why."
+        refusal = f"All {result.frames} frames failed: {result.manifest} contains the reasons."
     elif result.suspect:
         refusal = (
             f"{result.suspect} of {result.frames} frames do not seem to belong to the rig: "
-            f"{result.manifest} says why."
+            f"{result.manifest} contains the reasons."
         )
     written = (result.folder, result.manifest, report)
     return Outcome(f"{'; '.join(sentences)}.", record, refusal, written)
@@ -186,7 +186,10 @@ def _shard(text: str) -> tuple[int, int]:
     numbers = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
     part, parts = (int(numbers[1]), int(numbers[2])) if numbers else (0, 0)
     if not 1 <= part <= parts:
-        raise UsageError(f"--shard {text} is no job: write 1/4 to 4/4 for four of them.")
+        raise UsageError(
+            f"--shard is {text}, but must be the number of a job and the number of jobs: write 1/4 "
+            "to 4/4 for four jobs."
+        )
     return part, parts
 
 

@@ -90,8 +90,8 @@ def calibrate(
     scale = print_scale or (1.0, 1.0)
     if not all(0.9 < each < 1.1 for each in scale):
         raise UsageError(
-            "--print-scale is a measured over a nominal length: give a number near 1, such as "
-            "1.001, for X and for Y."
+            "--print-scale is the measured length divided by the nominal length: give a number "
+            "near 1, such as 1.001, for X and for Y."
         )
     lens_options = LensOptions(lens, lens_mm)
     lens_options.check()
@@ -157,8 +157,8 @@ def _suspicion(result: "trinoc.calib.CalibrationResult", out: Path) -> str | Non
         return None
     why = result.fits[suspects[0]].notes[0].removesuffix(".")
     return (
-        f'The calibration of "{suspects[0]}" is SUSPECT ({why}), so {out} was not written: mend '
-        "what is named, or take it all the same with --accept-suspect."
+        f'The calibration of "{suspects[0]}" is SUSPECT ({why}), so {out} was not written: correct '
+        "the cause, or accept the result with --accept-suspect."
     )
 
 
@@ -210,15 +210,18 @@ def _keep_of_failure(
         faults = measure_quality(name, pictures[name], pattern).faults
         path = out.with_name(f"{out.stem}-{as_file_name(name)}-failed.png")
         trinoc.io.write_picture(path, failure_picture(pictures[name], [failure, *faults]))
-        causes = f" (there {'; '.join(faults)})" if faults else ""
-        sentences.append(f'What was seen of "{name}" is in {path}{causes}.')
+        causes = f" (possible causes: {'; '.join(faults)})" if faults else ""
+        sentences.append(f'The detected points of "{name}" are drawn in {path}{causes}.')
     result = error.result
     if isinstance(result, trinoc.calib.CalibrationResult):
         why = refuse(result)
         if why is None:
             path = out.with_name(f"{out.stem}-incomplete.json")
             trinoc.save(result, path, provenance=provenance, overwrite=True)
-            outcome = "is as it was" if out.exists() else "was not written"
-            why = f"{path} holds the others ({', '.join(result.rig.names)}); {out} {outcome}."
+            outcome = "is unchanged" if out.exists() else "was not written"
+            why = (
+                f"{path} contains the calibrated cameras ({', '.join(result.rig.names)}); {out} "
+                f"{outcome}."
+            )
         sentences.append(why)
     return CalibrationError(" ".join(sentences), error.failures, result)

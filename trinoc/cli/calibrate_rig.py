@@ -138,7 +138,9 @@ def calibrate_shots(
     record = {**rig_record(result), "next_shot": shot_record(advice)}
     refusal = None
     if result.overall_status is trinoc.calib.Status.SUSPECT:
-        refusal = f"The rig is SUSPECT, and {out} says so: {result.notes[0].removesuffix('.')}."
+        refusal = (
+            f"The rig is SUSPECT, which is stated in {out}: {result.notes[0].removesuffix('.')}."
+        )
     return result, Outcome(text, record, refusal, written=(out, report))
 
 

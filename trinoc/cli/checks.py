@@ -35,11 +35,12 @@ def expect_options(call: inspect.BoundArguments) -> None:
             output in _paths(value) for option, value in options.items() if option not in ignored
         ):
             raise UsageError(
-                f"--{name} is {path}, which is read, and would be lost: give another name."
+                f"--{name} is {path}, which is an input and would be overwritten: give another "
+                "name."
             )
         if output in taken:
             raise UsageError(
-                f"--{taken[output]} and --{name} are both {path}: give each a name of its own."
+                f"--{taken[output]} and --{name} are both {path}: give each output its own name."
             )
         taken[output] = name
         if name == "report":

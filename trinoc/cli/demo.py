@@ -68,7 +68,7 @@ def demo(
     if keep_inputs:
         inputs, lines = _keep_inputs(out), _commands()
         text.append(
-            "\n".join(["The same by hand:", f"cd {shlex.quote(str(out))}", *lines])
+            "\n".join(["Commands for the same result:", f"cd {shlex.quote(str(out))}", *lines])
             + "\ntrinoc.toml there says the same, so that `trinoc calibrate` and `trinoc match` do."
         )
     LOGGER.info("done in %.1f s", sum(seconds.values()))

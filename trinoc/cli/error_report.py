@@ -23,7 +23,7 @@ def report_error(error: Exception, arguments: Sequence[str]) -> int:
     every failed command prints.
     """
     sentence = (
-        f"trinoc stopped at an error of its own: {_name_error(error)}. "
+        f"trinoc stopped at an internal error: {_name_error(error)}. "
         f"{_write_report(error, arguments)}"
     )
     print(f"trinoc: {sentence}", file=sys.stderr)

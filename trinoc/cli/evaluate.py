@@ -60,7 +60,7 @@ def evaluate(
     if not within_mm:
         raise UsageError("--within-mm has no distance: give one or more, or leave it out.")
     if rig is None and form != "tracks":
-        raise UsageError("Lines are joined by what the cameras saw of them: add --rig.")
+        raise UsageError("Joining collinear lines needs the rig: add --rig.")
 
     from trinoc.evaluation.evaluation import EvaluationStatus
     from trinoc.io.atomic import expect_place

@@ -30,8 +30,8 @@ def _sigma(text: str) -> float:
 def _zero(text: str) -> float:
     if _sigma(text) > 0:
         raise ValueError(
-            "is not known here: the covariance of a lens is in its camera.json, and lens=0 takes "
-            "it as exactly what is said of it"
+            "is not supported here: the covariance of a lens is in its camera.json, and lens=0 "
+            "assumes an exact lens"
         )
     return 0.0
 
@@ -89,9 +89,9 @@ def _warn_of_sizes(sizes_px: Mapping[str, tuple[int, int]]) -> None:
             f"{name} {width} x {height}" for name, (width, height) in sizes_px.items()
         )
         LOGGER.warning(
-            "--lens-mm is the lens of all cameras, but their pictures differ in size (%s px): a "
-            "picture that was resized or turned has other pixels, one that was cut another middle. "
-            "Give each as its camera took it, or --lens NAME=camera.json for each.",
+            "--lens-mm is one lens for all cameras, but their pictures differ in size (%s px). "
+            "Give pictures that were not resized, rotated or cropped, or --lens NAME=camera.json "
+            "for each camera.",
             sizes,
         )
 
@@ -147,8 +147,8 @@ class LensOptions(NamedTuple):
             raise UsageError("Both --lens and --lens-mm are given: give one of them.")
         if not by_numbers and not self.lens:
             raise UsageError(
-                "The lens is not determined: give either --lens camera.json, or --lens-mm FOCAL "
-                "WIDTH HEIGHT."
+                "The lens is missing: give either --lens camera.json, or --lens-mm FOCAL WIDTH "
+                "HEIGHT."
             )
         if by_numbers:
             focal_mm, width_mm, height_mm = self.lens_mm

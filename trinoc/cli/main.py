@@ -174,9 +174,9 @@ def _run(command: Callable[..., Outcome], call: inspect.BoundArguments) -> int:
         remedy = "give a shorter name" if is_long else "check the disk"
         return _report_failure(job, f"{prefix}{error.strerror or error}: {remedy}.", status=1)
     except MemoryError:
-        return _report_failure(job, "The memory does not suffice: give smaller or fewer files.", 1)
+        return _report_failure(job, "The memory is not sufficient: give smaller or fewer files.", 1)
     except KeyboardInterrupt as stopped:
-        sentence = str(stopped) or "Interrupted: files that were not finished are not there."
+        sentence = str(stopped) or "Interrupted: unfinished files were not written."
         return _report_failure(job, sentence, 130)
     record = outcome.record
     if outcome.refusal is not None:

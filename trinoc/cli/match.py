@@ -143,8 +143,8 @@ def _check_pictures(files: Mapping[str, Path], option: str) -> None:
     for name, file in files.items():
         if file.suffix.lower() in SEGMENT_SUFFIXES:
             raise UsageError(
-                f"{option} needs pictures, but {file} of {name} holds segments: give its picture, "
-                f"or leave {option} out."
+                f"{option} needs pictures, but {file} of {name} contains segments: give the "
+                f"picture of {name}, or omit {option}."
             )
 
 

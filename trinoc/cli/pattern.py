@@ -147,7 +147,7 @@ def _read_screen(arguments: tuple[tuple[str, ...], ...], *, is_meant: bool) -> S
     values = read_settings("--screen", arguments, _SCREEN)
     if not is_meant:
         if values:
-            raise UsageError("--screen is of a screen as target: give -o FILE.png, too.")
+            raise UsageError("--screen needs an image file as output: give -o FILE.png, too.")
         return None
     size_px = values.get("size_px", (0, 0))
     if not all(0 < side <= _MOST_PX for side in size_px):
@@ -157,7 +157,7 @@ def _read_screen(arguments: tuple[tuple[str, ...], ...], *, is_meant: bool) -> S
         )
     if ("diagonal_inch" in values) == ("pitch_mm" in values):
         raise UsageError(
-            "How large the pixels of the screen are, one of two says: give --screen "
+            "The size of the pixels of the screen needs exactly one setting: give --screen "
             "diagonal_inch=INCH, such as 24, or --screen pitch_mm=MM, such as 0.27."
         )
     pitch_mm = values.get("pitch_mm")
@@ -177,8 +177,8 @@ def _expect_drawings(layout: Path, endings: Sequence[str], *, force: bool) -> No
     for drawing in map(layout.with_suffix, endings):
         if drawing.exists() and not layout.exists() and not force:
             raise InputError(
-                f"{drawing} is there, and no layout {layout.name} beside it, so that it may be "
-                "something else, which would be lost: give another name, or --force."
+                f"{drawing} exists without its layout {layout.name}, so it may be another file, "
+                "which would be overwritten: give another name, or --force."
             )
 
 
@@ -187,7 +187,8 @@ def _split_layout(arguments: tuple[str, ...]) -> tuple[str, list[str]]:
     names = [word for word in arguments if "=" not in word]
     if len(names) > 1:
         raise UsageError(
-            f"{names[0]} and {names[1]} are two kinds: give one, and what it has as NAME=VALUE."
+            f"{names[0]} and {names[1]} are two kinds of boards: give one kind, and its settings "
+            "as NAME=VALUE."
         )
     return names[0] if names else SHEET, [word for word in arguments if "=" in word]
 
@@ -204,12 +205,13 @@ def _expect_free_sizes(
     """Raise UsageError where --camera stands beside what it chooses."""
     if kind != SHEET:
         raise UsageError(
-            "--camera is of the sheet of circles: give square_mm or tag_mm behind the kind."
+            "--camera is an option for the sheet of circles only: for this kind of board, give "
+            "square_mm or tag_mm after the kind."
         )
     _expect_no_counts("--camera chooses them", rows, columns)
     for word in settings:
         if word.partition("=")[0] in _SHEET_SIZES:
-            raise UsageError(f"--camera chooses them: leave out {word}.")
+            raise UsageError(f"--camera determines these sizes: omit {word}.")
 
 
 def _propose_sheet(camera: dict[str, Any], screen: Screen | None, paper: Any) -> "SheetProposal":
@@ -257,9 +259,9 @@ def _make_board(
     from trinoc.calib.targets.checkers import Chessboard
 
     if kind.lower().endswith(".json"):
-        _expect_no_counts(f"{kind} says it already", rows, columns)
+        _expect_no_counts(f"{kind} already states the rows and columns", rows, columns)
         if settings:
-            raise UsageError(f"{kind} says it already: leave out {settings[0]}.")
+            raise UsageError(f"{kind} already states this: omit {settings[0]}.")
         return _read_board(kind)
     if kind not in BOARDS:
         raise UsageError(
@@ -267,7 +269,7 @@ def _make_board(
         )
     for word in settings:
         if word.startswith(("rows=", "columns=")):
-            raise UsageError(f"{word} is an option of its own: write --{word}.")
+            raise UsageError(f"{word} is a separate option: write --{word}.")
     counts = {
         "rows": _COUNT if rows is None else rows,
         "columns": _COUNT if columns is None else columns,

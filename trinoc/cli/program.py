@@ -35,7 +35,7 @@ def run() -> int:
         # Python collects garbage three times while it ends: a tenth of a command.
         gc.freeze()
     except KeyboardInterrupt:
-        print("trinoc: Interrupted: files that were not finished are not there.", file=sys.stderr)
+        print("trinoc: Interrupted: unfinished files were not written.", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
         # Python would complain again at exit, when it flushes what nobody reads.

@@ -122,8 +122,7 @@ def depth_range(depths_mm: tuple[float, float]) -> tuple[float, float] | None:
     smallest_mm, largest_mm = depths_mm
     if not 0 <= smallest_mm < largest_mm:
         raise UsageError(
-            f"--depth-range-mm {smallest_mm:g} {largest_mm:g} holds no depth: give the least, then "
-            "the "
-            "greatest, in mm."
+            f"--depth-range-mm {smallest_mm:g} {largest_mm:g} contains no depth: give the "
+            "smallest, then the largest depth, in mm."
         )
     return None if depths_mm == ANYWHERE else depths_mm

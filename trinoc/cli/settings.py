@@ -42,9 +42,11 @@ def read_settings(option: str, words: Iterable[Iterable[str]], parsers: Parsers)
         if name not in parsers:
             close_names = difflib.get_close_matches(name, parsers, n=1)
             advice = (
-                f"write {close_names[0]}=VALUE" if close_names else f"it has {', '.join(parsers)}"
+                f"write {close_names[0]}=VALUE"
+                if close_names
+                else f"the settings are {', '.join(parsers)}"
             )
-            files = "; files stand before the options" if option.startswith("--") else ""
+            files = "; write files before the options" if option.startswith("--") else ""
             raise UsageError(f'{option} has no setting "{name}": {advice}{files}.')
         if not (separator and text):
             raise UsageError(f"{option} {word} has no value: write {name}=VALUE.")

@@ -85,10 +85,10 @@ def _undistort_rig(
             parameter not in PARAMETER_NAMES for view, _, parameter in parameters if view in files
         )
         why = (
-            f"errors of the lenses, which {rig_file} has, bend the rays of a picture as no ideal "
-            "camera does"
+            f"{rig_file} has errors of the lenses, which the new cameras without distortion cannot "
+            "contain"
             if is_open
-            else "an axis does not meet the sheet"
+            else "an optical axis does not meet the sheet"
         )
         notes.append(f"The new rig has no sigmas: {why}.")
     make_folder(out)
@@ -128,7 +128,7 @@ def _undistort_lens(
         if size != lens.image_size_px:
             sizes = [f"{width} x {height} px" for width, height in (size, lens.image_size_px)]
             raise InputError(
-                f"{file} is {sizes[0]}, but {lens_file} is of pictures of {sizes[1]}: give "
+                f"{file} is {sizes[0]}, but {lens_file} is for pictures of {sizes[1]}: give "
                 "pictures of that size."
             )
     ideal = trinoc.undistort(lens, alpha=alpha)
@@ -157,8 +157,8 @@ def _new_pictures(out: Path, files: Collection[Path], views: Iterable[str] = ())
     for k, path in enumerate(new):
         if path in new[:k]:
             raise UsageError(
-                f"{files[new.index(path)]} and {files[k]} would both become {path}: give "
-                "pictures with names of their own."
+                f"{files[new.index(path)]} and {files[k]} would both become {path}: give pictures "
+                "with different names."
             )
     return new
 
@@ -175,19 +175,21 @@ def _expect_places(
     from trinoc.image.ideal_pictures import PictureMaps
 
     if out.exists() and not out.is_dir():
-        raise UsageError(f"--out is {out}, which is no folder: give one.")
+        raise UsageError(f"--out is {out}, which is not a folder: give a folder.")
     kinds = {**dict.fromkeys(maps, PictureMaps), **cameras}
     taken = {file.resolve() for file in read}
     for path in (*pictures, *kinds):
         if path.resolve() in taken:
-            raise UsageError(f"{path} is read, and would be lost: give another --out.")
+            raise UsageError(f"{path} is an input and would be overwritten: give another --out.")
     # A folder with maps is one that this command wrote before.
     is_ours = all(path.exists() for path in kinds)
     for path, kind in kinds.items() if out.exists() else ():
         job.expect(kind, path)
     for path in pictures:
         if path.exists() and not (is_ours or job.force):
-            raise InputError(f"{path} is there and would be lost: give another --out, or --force.")
+            raise InputError(
+                f"{path} exists and would be overwritten: give another --out, or --force."
+            )
 
 
 def _table(lenses: "Mapping[str, trinoc.Intrinsics]", maps: "Mapping[str, PictureMaps]") -> str:

@@ -80,8 +80,7 @@ def _guess_names(files: Sequence[Path]) -> dict[str, Path]:
         if all(names) and len(set(names)) == len(names):
             return dict(zip(names, files, strict=True))
     raise UsageError(
-        f"The names of the files do not tell cameras apart: write NAME=FILE, such as "
-        f"upper={files[0]}."
+        f"The file names do not distinguish the cameras: write NAME=FILE, such as upper={files[0]}."
     )
 
 
@@ -194,7 +193,7 @@ def doubts_table(file: str | os.PathLike[str]) -> "list[ExtraTable]":
 
     from trinoc.report.html import ExtraTable
 
-    caption = "The segments in space inherit these errors, which their sigmas do not hold."
+    caption = "The sigmas of the 3-D segments do not include the resulting errors."
     return [ExtraTable("SUSPECT cameras", ("camera", "why"), rows, caption)]
 
 
@@ -259,7 +258,7 @@ def check_views(files: Mapping[str, Path], rig: "trinoc.Rig", rig_file: Path) ->
             f"add {missing[0]}=FILE."
         )
     if missing:
-        LOGGER.warning("no picture of %s: matching without", list_names(missing))
+        LOGGER.warning("no picture of %s: matching uses the other cameras", list_names(missing))
 
 
 # After a knock the matcher first takes the ends of segments to be this far off. With 8 px it finds
@@ -282,8 +281,8 @@ def read_scene(
     """Read the matches, or the pictures or segments. Raises UsageError, InputError."""
     if bool(pictures) == (matches is not None):
         raise UsageError(
-            "Give either NAME=FILE for each camera, its picture or segments of the scene, or "
-            "--matches FILE."
+            "Give either NAME=FILE for each camera, with its picture of the scene or its segments, "
+            "or --matches FILE."
         )
     if matches is not None:
         tracks = trinoc.load_matches(matches)

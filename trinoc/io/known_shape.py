@@ -133,7 +133,9 @@ def _of_json(file: Path, unit_mm: float, grey_step: float) -> KnownShape:
     if isinstance(document, dict):
         document = document.get("edges_mm", document.get("edges"))
     if not isinstance(document, list):
-        raise InputError(f'{file} holds no list of edges: put one there, or under "edges_mm".')
+        raise InputError(
+            f'{file} contains no list of edges: give a list, or a list under "edges_mm".'
+        )
     edges = [_edge(file, number, entry) for number, entry in enumerate(document)]
     return _check_shape(KnownShape.of_edges(unit_mm * np.array(edges).reshape(-1, 2, 3)), file)
 

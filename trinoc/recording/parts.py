@@ -95,5 +95,7 @@ def share_parts(parts: Sequence[RecordingPart], shard: tuple[int, int]) -> list[
     """
     job, jobs = shard
     if not 1 <= job <= jobs:
-        raise InputError(f"There is no shard {job} of {jobs}. Count from 1/{max(jobs, 1)}.")
+        raise InputError(
+            f"There is no shard {job} of {jobs}. Shards are numbered from 1 to {max(jobs, 1)}."
+        )
     return list(parts[job - 1 :: jobs])

@@ -41,7 +41,7 @@ class StatusRow(NamedTuple):
 
 # The meaning of each figure of a camera, in the order of the cards.
 MEANINGS = (
-    ("circles used", "those found that agree with the others; the rest were located wrongly"),
+    ("circles used", "circles that agree with the fit; the others were located wrongly"),
     ("residual length, rms", "of the circles' centres, predicted minus observed"),
     ("chi-square of the circles / dof", "their squared residuals over their own noise: near 1"),
     ("rank", "number of parameters that the picture determines: all that are fitted"),
@@ -53,7 +53,7 @@ MEANINGS = (
     ),
     ("pixels used, cut", "near edges of ink; cut where something else is seen, such as a thumb"),
     ("blur", "sigma of the lens's blur"),
-    ("ink spread", "by which the ink reaches beyond the drawing"),
+    ("ink spread", "width by which the ink extends beyond the drawing"),
 )
 
 
@@ -110,7 +110,7 @@ class SheetPart(NamedTuple):
     any_unused: bool
 
 
-_DIGITS = "Value ± one sigma, to two digits of the sigma."
+_DIGITS = "Value ± one sigma, with two digits of the sigma."
 
 
 def cameras_part(
@@ -125,7 +125,7 @@ def cameras_part(
     others : cameras of the same rig that have no view of the scene, and are left out.
     """
     parameters = rig_table(rig, reference)
-    remarks = (_DIGITS,) if len(rig.parameters) else ("Sigmas are not known.",)
+    remarks = (_DIGITS,) if len(rig.parameters) else ("The sigmas are unknown.",)
     if is_without_sheet(rig):
         remarks += (
             "Not every optical axis meets the plane Z = 0: position and viewing direction in the "

@@ -137,7 +137,9 @@ def render_report(
     """The page of `write_report` as text."""
     if result is not None and result.views:
         if matches is not None or segments:
-            raise InputError("A report on many shots stands alone: write another for the rest.")
+            raise InputError(
+                "A report on many shots contains nothing else: write a second report for the rest."
+            )
         parts, subject = _parts_of_shots(result, advice)
         images = shot_images_part(result, shot_pictures)
         if images is None:
@@ -316,5 +318,5 @@ def _check_views(what: str, names: Sequence[str], rig: Rig) -> None:
     if not set(names) <= set(rig.names):
         raise InputError(
             f"The views of the {what} are {list_names(names)}, but the cameras of the rig are "
-            f"{list_names(rig)}: give the rig that the {what} belong to."
+            f"{list_names(rig)}: give the rig that belongs to the {what}."
         )

@@ -274,7 +274,8 @@ class CalibrationResult(Displayable, Value):
         """The sheet of circles. Raises InputError for another board, and for points."""
         if not isinstance(self.board, Pattern):
             raise InputError(
-                f"The board is a {type(self.board).__name__}, not a sheet of circles: read `board`."
+                f"The board is a {type(self.board).__name__}, not a sheet of circles: use the "
+                "attribute `board`."
             )
         return self.board
 

@@ -18,7 +18,7 @@ def motion(
 ) -> Float[np.ndarray, "3 4"]:
     """[R | t]; `where` begins the sentence of the InputError for what is no rotation."""
     if not np.abs(translation_mm).max() < FARTHEST_MM:
-        raise InputError(f"{where} is beside a translation beyond all bounds: correct it.")
+        raise InputError(f"{where} has a translation that is too large: correct it.")
     return np.concatenate([checked_rotation(rotation, where), translation_mm[:, None]], axis=1)
 
 
