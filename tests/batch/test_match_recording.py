@@ -263,7 +263,7 @@ def test_a_defect_in_one_frame_is_that_frame_s_alone(recording, tmp_path, monkey
 def test_results_of_something_else_are_not_mixed(recording, tmp_path, quick, changed, said):
     match(recording, tmp_path / "out")
     before = contents(tmp_path / "out")
-    with pytest.raises(InputError, match=f'differ in "{said}"'):
+    with pytest.raises(InputError, match=f'a run with another "{said}"'):
         match(recording, tmp_path / "out", **changed)
     assert contents(tmp_path / "out") == before
 
@@ -281,7 +281,7 @@ def test_a_second_program_on_the_same_job_is_refused(recording, tmp_path, quick,
     pytest.importorskip("fcntl")
 
     def second(*_):
-        with pytest.raises(InputError, match="Another trinoc batch is writing"):
+        with pytest.raises(InputError, match="Another `trinoc batch` is writing"):
             match(recording, tmp_path / "out")
 
     match(recording, tmp_path / "out", on_progress=second)

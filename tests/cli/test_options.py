@@ -92,7 +92,7 @@ def test_a_data_sheet_is_not_exact(tmp_path):
 
 
 def test_lens_that_is_not_determined_is_wrong_usage():
-    with pytest.raises(UsageError, match="lens is not determined"):
+    with pytest.raises(UsageError, match="The lens is missing"):
         LensOptions().lenses(SIZES)
     with pytest.raises(UsageError, match="Both --lens and --lens-mm are given: give one"):
         LensOptions(lens=("a.json",), lens_mm=(16.0, 0.01, 0.01)).lenses(SIZES)

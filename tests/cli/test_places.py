@@ -112,7 +112,7 @@ def test_depths_that_leave_nothing_are_named():
     matches = bench_matches()
     words = {view: np.full(len(w), "outside depth") for view, w in matches.reasons.items()}
     none = dataclasses.replace(matches, stage=np.full(len(matches), "binocular"), reasons=words)
-    assert "check depth_range_mm" in assess_matches(none).sentence
+    assert "Check depth_range_mm" in assess_matches(none).sentence
 
 
 def test_a_file_of_another_kind_is_not_replaced_unless_forced(folder, capsys):

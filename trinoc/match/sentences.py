@@ -180,8 +180,8 @@ SCENE_BEHIND = "the space that the other cameras see lies behind this camera"
 def depth_range_excludes(segments: int) -> str:
     """The depth range excludes more segments than are matched."""
     return (
-        f"{segments} segments have no partner at a depth within depth_range_mm. Check this range: "
-        "it contains the smallest and the largest depth, measured from each camera in mm."
+        f"{segments} segments have no partner at a depth within depth_range_mm. Check "
+        "depth_range_mm, the smallest and the largest depth from each camera, in mm."
     )
 
 

@@ -253,7 +253,7 @@ SPOILT = [
     ("nerfstudio", r'"frames"', '"frame"', "list of frames"),
     ("colmap-text", r"OPENCV 512", "FOV 512", 'lens model "FOV"'),
     ("colmap-text", r"(\n1 OPENCV 512 480 [\d.]+) [\d.]+", r"\1", "11 numbers|7 numbers"),
-    ("colmap-text", r" 2 right", " 2 upper", "there twice"),
+    ("colmap-text", r" 2 right", " 2 upper", "occurs twice"),
     ("colmap-text", r" 2 right", " 9 right", "which is missing"),
     ("ros", r"plumb_bob", "mirror", 'lens model "mirror"'),
     ("ros", r"distortion_model", "distortion", "distortion_model"),
@@ -318,7 +318,7 @@ def test_coefficients_beyond_ours_must_be_zero(tmp_path):
 
 def test_poses_alone_need_lenses(tmp_path):
     path = written("tf", tmp_path)
-    with pytest.raises(InputError, match="poses alone"):
+    with pytest.raises(InputError, match="contains only poses"):
         FORMATS["tf"].load(path)
     with pytest.raises(InputError, match='no frame of the camera "middle"'):
         FORMATS["tf"].load(path, lenses={"middle": LENS})
