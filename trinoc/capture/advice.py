@@ -43,7 +43,7 @@ def field_share(qualities: Sequence[ImageQuality]) -> float:
 
 
 def next_goal(qualities: Sequence[ImageQuality]) -> Goal | None:
-    """Goal for the next image, from the good images so far; None if these are enough."""
+    """Wanted position and tilt of the board in the next image; None if the good images suffice."""
     good = [quality for quality in qualities if quality.is_good]
     if not good:
         return Goal("Hold the board square to the camera, in the middle of the picture.")

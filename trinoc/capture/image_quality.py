@@ -29,7 +29,7 @@ _MARGIN = 0.08
 
 
 class ImageQuality(NamedTuple):
-    """Detection and quality of the board in one image.
+    """Detected points of the board in one image, and measures of the image's quality.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class ImageQuality(NamedTuple):
     blur_px : float
         Blur of the edges as the sigma of a Gaussian; NaN with too few edges.
     exposure : Exposure
-        Exposure of the board, or of the whole image if it was not detected.
+        Exposure of the board, or of the whole image if the board was not detected.
     lean : (2,)
         Tilt of the board, as in `measure_lean`.
     faults : tuple of str
@@ -144,7 +144,7 @@ def measure_quality(
 
 
 def unreadable_quality(name: str, target: AbstractTarget, reason: str) -> ImageQuality:
-    """Quality of a file that is not a readable image, with the reason `why`."""
+    """Quality of a file that is not a readable image. reason : why it is not readable."""
     no_points, nan = np.zeros((0, 2)), float("nan")
     unknown, kind = Exposure(nan, nan, nan), target.point_kind
     return ImageQuality(
@@ -170,7 +170,7 @@ def quality_line(quality: ImageQuality) -> str:
 
 
 def _window(points_px: Float[np.ndarray, "m 2"], size_px: tuple[int, int]) -> tuple[slice, slice]:
-    """Rows and columns around the detected points, or all without points."""
+    """Slices of the rows and columns around the detected points; of the whole image without points."""
     if not len(points_px):
         return slice(None), slice(None)
     low, high = points_px.min(axis=0), points_px.max(axis=0)

@@ -36,7 +36,7 @@ class Shot(NamedTuple):
 
 
 class Advice(NamedTuple):
-    """Next step: a sentence, and the goal of each camera that it concerns."""
+    """Advice for the user: a sentence, and the wanted board position of each camera it concerns."""
 
     sentence: str
     goals: Mapping[str, Goal]

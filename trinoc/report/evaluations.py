@@ -6,7 +6,7 @@ from trinoc.report.report_table import text_table
 
 
 def evaluation_text(evaluation: Evaluation) -> str:
-    """Table of the shares within each distance, then distances, angles and normalised errors."""
+    """Evaluation as text: shares within each distance, distances, angles and normalised errors."""
     head = ["within (mm)", *(f"{tolerance:g}" for tolerance in evaluation.tolerances_mm)]
     table = [
         [name, *(_number(share, 3) for share in shares)]

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def errors_text(errors: "Sequence[ParameterError]", reference_name: str) -> str:
-    """Table of estimated parameters with their sigmas and their errors against known values."""
+    """Table as text: estimated parameters with their sigmas, and their errors against known values."""
     # Here, because it brings the calibrations with it, and a match wants none.
     from trinoc.report.parameter_table import LABELS
 
@@ -35,10 +35,10 @@ def errors_text(errors: "Sequence[ParameterError]", reference_name: str) -> str:
 
 
 def counts_text(matches: Matches) -> str:
-    """Numbers that each step of the matching produced and rejected, and notes on them."""
+    """Numbers of candidates and tracks that each step of the matching kept and rejected, and notes."""
     return "\n".join([draw_text(counts_table(matches)), *matches.notes])
 
 
 def reasons_text(matches: Matches) -> str:
-    """Table as text: number of segments for each reason, per view and in total."""
+    """Table as text: number of segments for each reason, for each view and in total."""
     return draw_text(reasons_table(matches))

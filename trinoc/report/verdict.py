@@ -38,7 +38,19 @@ QUESTION_ON_MATCHES = {
 
 
 class Verdict(NamedTuple):
-    """The worst of the checks in one sentence, with the number that decides."""
+    """Verdict of a report.
+
+    Attributes
+    ----------
+    level : Level
+        Outcome of the worst check.
+    sentence : str
+        Verdict as a sentence.
+    reason : str
+        Figure and explanation of the worst check.
+    checks : tuple of ReportCheck
+        All checks.
+    """
 
     level: Level
     sentence: str
@@ -214,7 +226,9 @@ def _answer_on_halves(subject: Subject) -> Answer | None:
 
 
 def _answer_on_held_out_shots(subject: Subject) -> Answer | None:
-    """Residuals of held-out shots: across cameras, or of a single camera its own."""
+    """Rms residual of held-out shots, with the board's pose from another camera if there are
+    several.
+    """
     held_out = None if subject.shots is None else subject.shots.cross_validation
     if held_out is None:
         return None

@@ -36,7 +36,7 @@ Strokes = list[tuple[list[np.ndarray], str]]
 
 
 def make_card(value: object) -> str:
-    """HTML of a value that needs nothing but itself."""
+    """Return the HTML of a value for a notebook: name, heading, notes, table and a small drawing."""
     table = card_table(value)._replace(look="")
     notes = "".join(f"<p>{escape(note)}</p>" for note in getattr(value, "notes", ()))
     return (
@@ -48,7 +48,7 @@ def make_card(value: object) -> str:
 
 @singledispatch
 def card_table(value: Any) -> ReportTable:
-    """The table of a value: that of the page where it has one, else of its columns."""
+    """Table of a value for its card: the table of the report if it has one, else of its columns."""
     columns = value.named_columns(brief=True) if isinstance(value, Table) else list_columns(value)
     count = len(next(iter(columns.values()), []))
     shown = ROWS_OF_PARAMETERS if "parameter" in columns else ROWS
@@ -64,7 +64,10 @@ def card_table(value: Any) -> ReportTable:
 
 
 def _first_rows(table: ReportTable, count: int, shown: int = ROWS) -> ReportTable:
-    """The first of so many rows, with a note on the others."""
+    """First `shown` of the table's rows, with a note on the number of further rows.
+
+    count : number of rows in total.
+    """
     note = f"{count - shown} more rows: to_frame()" if count > shown else ""
     return table._replace(rows=table.rows[:shown], row_attributes=(), note=note)
 
@@ -159,7 +162,10 @@ def _(evaluation: Evaluation) -> str:
 
 
 def small_picture(value: object) -> Strokes:
-    """Lines in the plane, y downward, with their colours: the figure in space from above."""
+    """Lines of a small drawing of a value, with y downward, as (lines, colour) for each layer.
+
+    For values in space, the drawing is a view from above.
+    """
     if isinstance(value, Segments):
         return [(list(np.asarray(value.endpoints_px)), BLUE)]
     if isinstance(value, Evaluation):
@@ -172,7 +178,7 @@ def small_picture(value: object) -> Strokes:
 
 
 def _svg(strokes: Strokes) -> str:
-    """The lines in a square; nothing where there are none."""
+    """SVG of the lines, scaled to a square; "" without lines."""
     points = [part for parts, _ in strokes for part in parts[:MOST_LINES]]
     if not points:
         return ""
@@ -197,7 +203,7 @@ def _svg(strokes: Strokes) -> str:
 
 
 def _path(part: np.ndarray, step: float) -> str:
-    """Coordinates to half a dot of the picture."""
+    """Data of an SVG path for one line, rounded to a fraction of `step`."""
     if not np.isfinite(part).all():
         return ""
     decimals = max(0, round(-np.log10(step)))
