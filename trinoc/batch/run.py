@@ -22,7 +22,7 @@ from trinoc.recording.parts import RecordingPart, cut_into_parts, share_parts
 
 
 class BatchProgress(NamedTuple):
-    """Numbers of finished and failed frames, and of all frames of the job."""
+    """Progress of a job: numbers of finished frames, of failed frames, and of all its frames."""
 
     done: int
     failed: int
@@ -218,7 +218,10 @@ def _result(part: RecordingPart, future: Future[Any], where: str) -> list[FrameM
 def _description(
     source: Source, work: MatchingJob, frames_per_file: int, ending: str
 ) -> dict[str, Any]:
-    """Inputs and options that the results depend on, by content hash."""
+    """Inputs and options that the results depend on, for comparison with an earlier run.
+
+    Input files are represented by a hash of their content.
+    """
     listed = "\n".join(f"{f.name}\t{c}\t{f.files[c]}" for f in source.frames for c in f.files)
     return {
         "format": "trinoc-recording",

@@ -170,7 +170,7 @@ def quality_line(quality: ImageQuality) -> str:
 
 
 def _window(points_px: Float[np.ndarray, "m 2"], size_px: tuple[int, int]) -> tuple[slice, slice]:
-    """Slices of the rows and columns around the detected points; of the whole image without points."""
+    """Slices of the rows and columns around the detected points, or of the whole image."""
     if not len(points_px):
         return slice(None), slice(None)
     low, high = points_px.min(axis=0), points_px.max(axis=0)

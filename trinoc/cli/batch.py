@@ -129,7 +129,10 @@ def _report_content(
     find: dict[str, Any],
     depths_mm: tuple[float, float] | None,
 ) -> dict[str, Any]:
-    """All frames of the folder of results, and the middle one with its pictures and its files."""
+    """Contents of the report: all frames in the folder of results, and the middle frame in full.
+
+    The middle frame is shown with its pictures. depths_mm : depth range of the matching.
+    """
     from trinoc.batch.source import find_frames
     from trinoc.batch.work import MatchingJob, frame_segments
     from trinoc.report.frames_part import frames_part
@@ -194,7 +197,10 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 def _workers(text: str | None) -> tuple[int | None, str | None]:
-    """(threads at most, address of a scheduler). Raises UsageError."""
+    """Return the largest number of threads and the address of a Dask scheduler, each or None.
+
+    Raises UsageError if the text is neither a number nor an address.
+    """
     if text is None or "://" in text:
         return None, text
     if not (text.isdecimal() and int(text)):
@@ -206,7 +212,7 @@ def _workers(text: str | None) -> tuple[int | None, str | None]:
 
 
 class _Progress:
-    """The progress on stderr: a bar with rate and time on a terminal, a line a minute elsewhere."""
+    """Progress on stderr: a bar with rate and time on a terminal, otherwise a line per minute."""
 
     def __init__(self, *, quiet: bool) -> None:
         self.done, self.total = 0, 0
@@ -215,7 +221,7 @@ class _Progress:
         self._start_s = self._last_s = 0.0
 
     def show(self, progress: "BatchProgress") -> None:
-        """Show the progress, and keep its counts."""
+        """Show the progress and store it."""
         self.done, self.total = progress.done, progress.total
         if self._quiet:
             return

@@ -149,7 +149,7 @@ def calibrate(
 
 
 def _suspicion(result: "trinoc.calib.CalibrationResult", out: Path) -> str | None:
-    """Why the rig is not written unless that is wanted; None where no camera is suspect."""
+    """Return the reason why a rig with a suspect camera is not written; None without such a camera."""
     suspects = [
         name for name, status in result.status.items() if status is trinoc.calib.Status.SUSPECT
     ]
@@ -163,7 +163,7 @@ def _suspicion(result: "trinoc.calib.CalibrationResult", out: Path) -> str | Non
 
 
 def calibration_record(result: "trinoc.calib.CalibrationResult") -> dict[str, Any]:
-    """Summary of a calibration for programs, as JSON can hold it."""
+    """Summary of a calibration as a JSON object."""
     parameters: dict[str, dict[str, Any]] = {name: {} for name in result.status}
     for parameter, value in zip(result.parameters, result.values, strict=True):
         name, _, short = parameter.rpartition(".")
@@ -195,11 +195,16 @@ def _keep_of_failure(
     refuse: Callable[["trinoc.calib.CalibrationResult"], str | None],
     provenance: Mapping[str, Any],
 ) -> CalibrationError:
-    """The same error, which also says what was written beside `out`.
+    """Write what a failed calibration produced, and return the error with sentences about these
+    files.
 
-    `out` itself stays as it is: an incomplete rig must not take the place of a whole one.
+    The rig of the other cameras is written to a separate file, so that it does not replace a
+    complete rig in `out`.
 
-    refuse : returns why the rig of the other cameras may not be written, or None.
+    pictures : images by camera.
+    refuse : function that returns the reason why the rig of the other cameras may not be written,
+        or
+    None.
     """
     from trinoc.capture.annotated import failure_picture
     from trinoc.capture.image_quality import measure_quality

@@ -100,7 +100,10 @@ def _lines(
     stage: str,
     least_posterior: float,
 ) -> "UncertainLines":
-    """The compared lines, with the cameras' errors where the rig states them."""
+    """Lines to compare, with the covariance of the cameras if the rig has one.
+
+    form, stage, least_posterior : options of the command.
+    """
     import numpy as np
 
     from trinoc.evaluation.lines_of_rig import independent_lines, lines_of_form

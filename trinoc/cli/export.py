@@ -141,7 +141,10 @@ def _lenses(arguments: tuple[str, ...]) -> "dict[str, trinoc.Intrinsics] | None"
 
 
 def _write_frames(arguments: tuple[str, ...], out: Path, every_s: float) -> Outcome:
-    """Write the frames of synchronized videos, in one folder per camera."""
+    """Write the frames of synchronised videos into one folder for each camera.
+
+    arguments : NAME=VIDEO. every_s : interval between frames in seconds; 0 for every frame.
+    """
     files = named_files(arguments, wanted="video")
     if len({file.resolve() for file in files.values()}) < len(files):
         raise UsageError("Two cameras have the same video: give each camera its own video.")

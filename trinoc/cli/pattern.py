@@ -136,14 +136,17 @@ def pattern(
 
 
 class Screen(NamedTuple):
-    """A screen as target: its size, and from one of its pixels to the next."""
+    """Screen that displays a target: width and height in px, and pixel pitch in mm."""
 
     size_px: tuple[int, int]
     pitch_mm: float
 
 
 def _read_screen(arguments: tuple[tuple[str, ...], ...], *, is_meant: bool) -> Screen | None:
-    """The screen that --screen states; None where no screen is meant. Raises UsageError."""
+    """Screen of the option --screen; None if no screen is wanted. Raises UsageError.
+
+    is_meant : True if the output is an image for a screen.
+    """
     values = read_settings("--screen", arguments, _SCREEN)
     if not is_meant:
         if values:
@@ -173,7 +176,9 @@ def _read_screen(arguments: tuple[tuple[str, ...], ...], *, is_meant: bool) -> S
 
 
 def _expect_drawings(layout: Path, endings: Sequence[str], *, force: bool) -> None:
-    """Raise InputError where a picture that no layout stands beside would be replaced."""
+    """Raise InputError if a drawing would replace an image file that has no layout of the same
+    name.
+    """
     for drawing in map(layout.with_suffix, endings):
         if drawing.exists() and not layout.exists() and not force:
             raise InputError(
@@ -183,7 +188,7 @@ def _expect_drawings(layout: Path, endings: Sequence[str], *, force: bool) -> No
 
 
 def _split_layout(arguments: tuple[str, ...]) -> tuple[str, list[str]]:
-    """The kind of board, or the file of a layout; and what is stated as NAME=VALUE."""
+    """Return the kind of board or the layout file, and the settings NAME=VALUE."""
     names = [word for word in arguments if "=" not in word]
     if len(names) > 1:
         raise UsageError(
@@ -202,7 +207,7 @@ def _expect_no_counts(why: str, rows: int | None, columns: int | None) -> None:
 def _expect_free_sizes(
     kind: str, settings: list[str], rows: int | None, columns: int | None
 ) -> None:
-    """Raise UsageError where --camera stands beside what it chooses."""
+    """Raise UsageError if sizes are given in addition to --camera, which determines them."""
     if kind != SHEET:
         raise UsageError(
             "--camera is an option for the sheet of circles only: for this kind of board, give "
@@ -215,7 +220,7 @@ def _expect_free_sizes(
 
 
 def _propose_sheet(camera: dict[str, Any], screen: Screen | None, paper: Any) -> "SheetProposal":
-    """The sizes of a sheet for the camera that --camera states. Raises UsageError."""
+    """Sheet that suits the camera of the option --camera. Raises UsageError."""
     missing = [name for name in _CAMERA if name not in camera]
     if missing:
         raise UsageError(
@@ -254,7 +259,11 @@ def _make_board(
     columns: int | None,
     proposal: "SheetProposal | None",
 ) -> "AbstractBoard":
-    """The board of a kind or of a layout's file."""
+    """Board of a kind, or of a layout file.
+
+    settings : NAME=VALUE. proposal : sizes that suit the camera of --camera; None without the
+        option.
+    """
     from trinoc.calib.targets.board_set import BOARDS
     from trinoc.calib.targets.checkers import Chessboard
 
@@ -305,7 +314,7 @@ def _read_board(file: str) -> "AbstractBoard":
 
 
 def _print(board: "AbstractBoard", out: Path, paper: Any) -> tuple[list[Path], list[str]]:
-    """Write layout and drawings on paper: the files, and what to do with them."""
+    """Write layout and drawings for printing. Return the files, and instructions for the user."""
     from trinoc.io.board_json import save_target
 
     drawing, page = out.with_suffix(".svg"), out.with_suffix(".pdf")
@@ -327,7 +336,7 @@ def _print(board: "AbstractBoard", out: Path, paper: Any) -> tuple[list[Path], l
 
 
 def _show(board: "AbstractBoard", out: Path, screen: Screen) -> tuple[list[Path], list[str]]:
-    """Write picture for the screen and layout: the files, and what to do with them."""
+    """Write the image for a screen and the layout. Return the files, and instructions for the user."""
     from trinoc.io.board_json import save_target
     from trinoc.io.pattern_page import drawing_size_mm
 

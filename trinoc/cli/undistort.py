@@ -143,9 +143,10 @@ def _undistort_lens(
 
 
 def _new_pictures(out: Path, files: Collection[Path], views: Iterable[str] = ()) -> list[Path]:
-    """The files of the new pictures: their names, behind those of the views where they are equal.
+    """Files of the new images, named after the original files.
 
-    Raises UsageError where two would have one name.
+    The name of the view precedes names that are equal. Raises UsageError if two images would have
+    one name.
     """
     from trinoc.io.atomic import as_file_name
 
@@ -171,7 +172,9 @@ def _expect_places(
     cameras: Mapping[Path, type],
     job: Job,
 ) -> None:
-    """Raise UsageError or InputError where something would be lost."""
+    """Raise UsageError or InputError if the command would overwrite an input or a file of another
+    kind.
+    """
     from trinoc.image.ideal_pictures import PictureMaps
 
     if out.exists() and not out.is_dir():
@@ -213,7 +216,7 @@ def _record(
     pictures: Mapping[str, Path],
     maps: Mapping[str, Path],
 ) -> dict[str, Any]:
-    """Summary of the new cameras for programs, as JSON can hold it."""
+    """Summary of the new cameras as a JSON object."""
     cameras = {
         name: {
             "image_size_px": list(lens.image_size_px),

@@ -94,7 +94,7 @@ def watch(
 
 
 def _places(sources: tuple[str, ...]) -> dict[str, str]:
-    """The source of each camera; of one without a name under ""."""
+    """Source of each camera; a single camera without a name has the name ""."""
     if not sources:
         raise UsageError("No source is given: give a folder, a camera's number, or a video.")
     if len(sources) == 1 and "=" not in sources[0]:
@@ -103,7 +103,10 @@ def _places(sources: tuple[str, ...]) -> dict[str, str]:
 
 
 def _kind(sources: Mapping[str, str], *, once: bool, keep: Path | None) -> str:
-    """ "camera", "video" or "folder"; raises UsageError for options that do not go with it."""
+    """Kind of the sources: "camera", "video" or "folder".
+
+    Raises UsageError if the kinds differ, or if an option does not apply to this kind.
+    """
     from trinoc.serving.sources import find_kind
 
     kinds = {find_kind(source) for source in sources.values()}
@@ -143,7 +146,7 @@ def _target(board: Path) -> "AbstractTarget":
 def _expect_results(
     out: Path | None, report: Path | None, sources: tuple[str, ...], is_lens: bool, job: Job
 ) -> None:
-    """Raise InputError, before anything is watched, for results that cannot be written."""
+    """Raise InputError or UsageError, before anything is watched, if the results cannot be written."""
     if out is None:
         return
     if is_lens and report is not None:
@@ -157,7 +160,7 @@ def _expect_results(
 def _open_kept(
     sources: Mapping[str, str], kind: str, keep: Path | None, out: Path | None
 ) -> "KeptShots | None":
-    """The folder of kept shots: that of --keep, or one beside the result."""
+    """Folder of saved shots: that of --keep, or one with the name of the result; None without any."""
     from trinoc.serving.kept_shots import KeptShots
 
     if keep is not None:
@@ -181,7 +184,7 @@ def _open_kept(
 
 
 def _look(session: "WatchSession", moments: "Iterator[Moment]", *, must_go_on: bool) -> None:
-    """Judge all moments, until interrupted or to the end."""
+    """Evaluate all moments, until they end or the user presses Ctrl-C."""
     try:
         if session.kept is not None:
             for moment in session.kept.read():
@@ -203,7 +206,7 @@ def _summary(session: "WatchSession") -> Outcome:
 
 
 class _Calibration(NamedTuple):
-    """The calibration with the shots of a session, whose page follows it."""
+    """Calibration with the shots of a watch session; the session's page shows its progress."""
 
     session: "WatchSession"
     source: Path
@@ -214,7 +217,7 @@ class _Calibration(NamedTuple):
     job: Job
 
     def run(self) -> Outcome:
-        """Calibrate where the shots suffice: the outcome of the session and of the calibration."""
+        """Calibrate if there are enough shots. Return the outcome of session and calibration."""
         from trinoc.capture.shots import find_missing
 
         session, summary = self.session, _summary(self.session)
@@ -282,7 +285,7 @@ class _Calibration(NamedTuple):
         return summary._replace(refusal=f"{why} {self._way_on()}")
 
     def _way_on(self) -> str:
-        """The place of the shots, and what to type to go on with them."""
+        """Sentence with the folder of the shots and the command that continues with them."""
         command_line = self.job.command_line
         if self.session.kept is None:
             return f"The pictures remain in their folder. To continue, run: {command_line}"
@@ -292,7 +295,7 @@ class _Calibration(NamedTuple):
 
 
 def _read_port(port: str | int) -> int:
-    """Return the port number, 0 for a free one.
+    """Port number; 0 for a free port.
 
     Raises UsageError here, because an error in the server's thread would leave the command waiting.
     """
@@ -306,7 +309,11 @@ def _read_port(port: str | int) -> int:
 
 
 def _show(url: str, browser: bool) -> None:
-    """Print the page's address on stderr, also with `--quiet`: nothing else can be done without."""
+    """Print the address of the page to stderr. It is printed even with `--quiet`, because it is
+    needed.
+
+    browser : True to open the page in a browser.
+    """
     print(f"trinoc: open {url} in a browser; press Ctrl-C to stop", file=sys.stderr, flush=True)
     if browser:
         import webbrowser

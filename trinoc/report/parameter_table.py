@@ -83,7 +83,7 @@ def _parameter_error(rig: Rig, reference: Rig, name: str, parameter: str) -> Par
 
 
 def is_without_sheet(rig: Rig) -> bool:
-    """True if an optical axis does not meet Z = 0, in a rig that was not calibrated with a sheet."""
+    """True if an optical axis does not meet Z = 0 and the rig was not calibrated with a sheet."""
     names = {parameter.rpartition(".")[2] for parameter in rig.parameters}
     distances = [camera.distance_mm for camera in rig.cameras]
     return "distance_mm" not in names and not np.isfinite(distances).all()

@@ -47,7 +47,7 @@ class LineLayer(NamedTuple):
 
 
 class Label(NamedTuple):
-    """Label at a point in space, mm. `role` : kind that determines the colour, as in `LineLayer`."""
+    """Label at a point in space, mm. `role` determines the colour, as in `LineLayer`."""
 
     at_mm: np.ndarray
     text: str
@@ -235,7 +235,7 @@ def _joined_layers(matches: Matches, rig: Rig) -> list[LineLayer]:
 
 
 def _views(rig: Rig, content: Box | None, segments: bool) -> tuple[SpaceView, ...]:
-    """Named views of the content and of the whole rig. segments : True if there are 3-D segments."""
+    """Named views of the content and of the rig. segments : True if there are 3-D segments."""
     # From the side, so that no camera stands before what all of them look at.
     x, y, _ = np.mean([camera.centre_world_mm for _, camera in rig.items()], axis=0)
     rig_view = SpaceView("Whole rig", whole_box(rig, content), float(np.arctan2(y, x)) + 1.25)
@@ -270,7 +270,7 @@ class PlanPath(NamedTuple):
 
 
 class Tick(NamedTuple):
-    """Grid line of a drawing: position on its axis in drawing units, and coordinate in mm as text."""
+    """Grid line of a drawing: position on its axis in drawing units, coordinate in mm as text."""
 
     position: float
     text: str

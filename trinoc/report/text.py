@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def errors_text(errors: "Sequence[ParameterError]", reference_name: str) -> str:
-    """Table as text: estimated parameters with their sigmas, and their errors against known values."""
+    """Table as text: estimated parameters, their sigmas, and their errors against known values."""
     # Here, because it brings the calibrations with it, and a match wants none.
     from trinoc.report.parameter_table import LABELS
 
@@ -35,7 +35,7 @@ def errors_text(errors: "Sequence[ParameterError]", reference_name: str) -> str:
 
 
 def counts_text(matches: Matches) -> str:
-    """Numbers of candidates and tracks that each step of the matching kept and rejected, and notes."""
+    """Numbers of candidates and tracks that each step of the matching kept, and the notes."""
     return "\n".join([draw_text(counts_table(matches)), *matches.notes])
 
 

@@ -36,7 +36,7 @@ Strokes = list[tuple[list[np.ndarray], str]]
 
 
 def make_card(value: object) -> str:
-    """Return the HTML of a value for a notebook: name, heading, notes, table and a small drawing."""
+    """Return the HTML of a value for a notebook: heading, notes, table and a small drawing."""
     table = card_table(value)._replace(look="")
     notes = "".join(f"<p>{escape(note)}</p>" for note in getattr(value, "notes", ()))
     return (
