@@ -149,7 +149,7 @@ def calibrate(
 
 
 def _suspicion(result: "trinoc.calib.CalibrationResult", out: Path) -> str | None:
-    """Return the reason why a rig with a suspect camera is not written; None without such a camera."""
+    """Return the reason why a rig with a suspect camera is not written; else None."""
     suspects = [
         name for name, status in result.status.items() if status is trinoc.calib.Status.SUSPECT
     ]

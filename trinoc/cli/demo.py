@@ -223,7 +223,7 @@ def _step(doing: str, seconds: dict[str, float]) -> Iterator[None]:
 
 
 def _keep_inputs(folder: Path) -> list[Path]:
-    """Write the pictures, the layout of the sheet and trinoc.toml into a folder. Return the files."""
+    """Write the pictures, the layout of the sheet and trinoc.toml; return the files."""
     from trinoc.io.atomic import write_text
     from trinoc.io.demo import demo_paths, demo_pattern
 
@@ -264,7 +264,7 @@ def _commands() -> list[str]:
 
 
 def _toml() -> str:
-    """Content of trinoc.toml, with which `trinoc calibrate` and `trinoc match` need no arguments."""
+    """Text of trinoc.toml, with which `trinoc calibrate` and `trinoc match` need no arguments."""
     sheets, scenes = (
         ", ".join(f'{view} = "{file}"' for view, file in _pictures(kind).items())
         for kind in ("sheet", "scene")

@@ -83,7 +83,7 @@ def expect_focal_length(focal_length_mm: float) -> None:
 
 
 def _warn_of_sizes(sizes_px: Mapping[str, tuple[int, int]]) -> None:
-    """Log a warning if the images of the cameras differ in size although one lens is given for all."""
+    """Log a warning if the images of cameras with one common lens differ in size."""
     if len(set(sizes_px.values())) > 1:
         sizes = ", ".join(
             f"{name} {width} x {height}" for name, (width, height) in sizes_px.items()

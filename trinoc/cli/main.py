@@ -73,7 +73,7 @@ def parse_arguments(arguments: Sequence[str]) -> inspect.BoundArguments:
 
 
 def _binder(name: str) -> Callable[..., inspect.BoundArguments]:
-    """Function with the options of a command that returns the bound arguments without running it."""
+    """Function with the options of a command that returns the bound arguments, and runs nothing."""
     command = find_command(name)
 
     def bind(*arguments: Any, **options: Any) -> inspect.BoundArguments:

@@ -336,7 +336,7 @@ def _print(board: "AbstractBoard", out: Path, paper: Any) -> tuple[list[Path], l
 
 
 def _show(board: "AbstractBoard", out: Path, screen: Screen) -> tuple[list[Path], list[str]]:
-    """Write the image for a screen and the layout. Return the files, and instructions for the user."""
+    """Write the image for a screen and the layout. Return files, and instructions for the user."""
     from trinoc.io.board_json import save_target
     from trinoc.io.pattern_page import drawing_size_mm
 

@@ -196,7 +196,7 @@ def _option_words(option: str, value: object) -> list[str]:
 
 
 def _words(value: object) -> list[str]:
-    """Value as words of a command line: a table becomes NAME=VALUE, a list one word for each item."""
+    """Value as words of a command line: a table becomes NAME=VALUE, a list one word per item."""
     if isinstance(value, dict):
         return [f"{name}={_word(each)}" for name, each in value.items()]
     return [str(each) for each in value] if isinstance(value, list) else [str(value)]

@@ -146,7 +146,7 @@ def _target(board: Path) -> "AbstractTarget":
 def _expect_results(
     out: Path | None, report: Path | None, sources: tuple[str, ...], is_lens: bool, job: Job
 ) -> None:
-    """Raise InputError or UsageError, before anything is watched, if the results cannot be written."""
+    """Raise InputError or UsageError if the results cannot be written."""
     if out is None:
         return
     if is_lens and report is not None:
@@ -160,7 +160,7 @@ def _expect_results(
 def _open_kept(
     sources: Mapping[str, str], kind: str, keep: Path | None, out: Path | None
 ) -> "KeptShots | None":
-    """Folder of saved shots: that of --keep, or one with the name of the result; None without any."""
+    """Folder of saved shots: that of --keep, or one named after the result; None without both."""
     from trinoc.serving.kept_shots import KeptShots
 
     if keep is not None:
