@@ -82,10 +82,10 @@ def next_step(qualities: Sequence[ImageQuality]) -> str:
 
 def adds_information(earlier: Sequence[ImageQuality], last: ImageQuality) -> bool:
     """True if a good image covers a new cell of the field or shows a new tilt."""
-    together = [*earlier, last]
-    if not last.is_good or covered_cells(together).sum() > covered_cells(earlier).sum():
+    qualities = [*earlier, last]
+    if not last.is_good or covered_cells(qualities).sum() > covered_cells(earlier).sum():
         return last.is_good
-    return len(_missing_sides(together)) < len(_missing_sides(earlier))
+    return len(_missing_sides(qualities)) < len(_missing_sides(earlier))
 
 
 def summary_lines(qualities: Sequence[ImageQuality]) -> list[str]:

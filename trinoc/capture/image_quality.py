@@ -174,9 +174,9 @@ def _window(points_px: Float[np.ndarray, "m 2"], size_px: tuple[int, int]) -> tu
     if not len(points_px):
         return slice(None), slice(None)
     low, high = points_px.min(axis=0), points_px.max(axis=0)
-    room = _MARGIN * (high - low) + 12.0
-    left, upper = np.maximum(np.floor(low - room), 0).astype(int)
-    right, lower = np.minimum(np.ceil(high + room), size_px).astype(int)
+    margin = _MARGIN * (high - low) + 12.0
+    left, upper = np.maximum(np.floor(low - margin), 0).astype(int)
+    right, lower = np.minimum(np.ceil(high + margin), size_px).astype(int)
     return slice(upper, lower), slice(left, right)
 
 

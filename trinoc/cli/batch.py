@@ -72,7 +72,7 @@ def batch(
     """
     settings, depths_mm = find_settings(find), depth_range(depth_range_mm)
     threads, scheduler = _workers(workers)
-    part = _shard(shard)
+    job_of_jobs = _shard(shard)
     positive = {
         "frames-per-file": frames_per_file,
         "memory-gb": memory_gb,
@@ -93,7 +93,7 @@ def batch(
             find=settings,
             sigma_px=sigma_px,
             depth_range_mm=depths_mm,
-            shard=part,
+            shard=job_of_jobs,
             frames_per_file=frames_per_file,
             threads_at_most=threads,
             in_processes=True,
@@ -186,8 +186,8 @@ def _outcome(result: "BatchOutcome", report: Path | None) -> Outcome:
 
 
 def _shard(text: str) -> tuple[int, int]:
-    numbers = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
-    part, parts = (int(numbers[1]), int(numbers[2])) if numbers else (0, 0)
+    match = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
+    part, parts = (int(match[1]), int(match[2])) if match else (0, 0)
     if not 1 <= part <= parts:
         raise UsageError(
             f"--shard is {text}, but must be the number of a job and the number of jobs: write 1/4 "

@@ -155,10 +155,10 @@ def _suspicion(result: "trinoc.calib.CalibrationResult", out: Path) -> str | Non
     ]
     if not suspects:
         return None
-    why = result.fits[suspects[0]].notes[0].removesuffix(".")
+    reason = result.fits[suspects[0]].notes[0].removesuffix(".")
     return (
-        f'The calibration of "{suspects[0]}" is SUSPECT ({why}), so {out} was not written: correct '
-        "the cause, or accept the result with --accept-suspect."
+        f'The calibration of "{suspects[0]}" is SUSPECT ({reason}), so {out} was not written: '
+        "correct the cause, or accept the result with --accept-suspect."
     )
 
 
@@ -219,14 +219,14 @@ def _keep_of_failure(
         sentences.append(f'The detected points of "{name}" are drawn in {path}{causes}.')
     result = error.result
     if isinstance(result, trinoc.calib.CalibrationResult):
-        why = refuse(result)
-        if why is None:
+        sentence = refuse(result)
+        if sentence is None:
             path = out.with_name(f"{out.stem}-incomplete.json")
             trinoc.save(result, path, provenance=provenance, overwrite=True)
             outcome = "is unchanged" if out.exists() else "was not written"
-            why = (
+            sentence = (
                 f"{path} contains the calibrated cameras ({', '.join(result.rig.names)}); {out} "
                 f"{outcome}."
             )
-        sentences.append(why)
+        sentences.append(sentence)
     return CalibrationError(" ".join(sentences), error.failures, result)

@@ -57,9 +57,13 @@ def _expect_report(path: Path, *, force: bool) -> None:
 
 def _expect_numbers(name: str, value: Any, default: Any) -> None:
     """Raise UsageError for NaN, and for infinity unless the default value contains it."""
-    usual = default if isinstance(default, tuple) else (default,)
+    default_numbers = default if isinstance(default, tuple) else (default,)
     for number in value if isinstance(value, tuple) else (value,):
-        if isinstance(number, float) and not math.isfinite(number) and number not in usual:
+        if (
+            isinstance(number, float)
+            and not math.isfinite(number)
+            and number not in default_numbers
+        ):
             raise UsageError(f"--{name.replace('_', '-')} is {number}: give a finite number.")
 
 

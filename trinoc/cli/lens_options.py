@@ -73,12 +73,12 @@ def expect_focal_length(focal_length_mm: float) -> None:
             f"--lens-mm has a focal length of {focal_length_mm:g} mm, but must have a positive one."
         )
     for unit, factor in (("metres", 1e3), ("micrometres", 1e-3)):
-        meant = focal_length_mm * factor
+        length_mm = focal_length_mm * factor
         wrong = focal_length_mm < shortest if factor > 1 else focal_length_mm > longest
-        if wrong and shortest <= meant <= longest:
+        if wrong and shortest <= length_mm <= longest:
             raise UsageError(
                 f"--lens-mm has a focal length of {focal_length_mm:g} mm, which looks like {unit}: "
-                f"write {meant:g} millimetres."
+                f"write {length_mm:g} millimetres."
             )
 
 
@@ -202,14 +202,14 @@ class LensOptions(NamedTuple):
         A lens whose file states no covariance, or a lens of --lens-mm, has the covariance of
         `Systematics.typical`.
         """
-        usual = trinoc.Systematics.typical(lenses).lens_covariance
+        typical = trinoc.Systematics.typical(lenses).lens_covariance
         if not self.lens:
-            return usual
+            return typical
         _, stated = read_lenses(self.lens, lenses)
         if isinstance(stated, Mapping):
             of_lenses = {name: matrix for name, matrix in stated.items() if name in lenses}
-            return {**(usual if isinstance(usual, Mapping) else {}), **of_lenses} or None
-        return usual if stated is None else stated
+            return {**(typical if isinstance(typical, Mapping) else {}), **of_lenses} or None
+        return typical if stated is None else stated
 
     def files(self) -> dict[str, Path]:
         """Files that `lenses` reads, by name, for the provenance."""

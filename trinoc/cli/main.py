@@ -135,14 +135,14 @@ def compile_quickly() -> None:
     """
     from trinoc.numerics.compiler_options import quick_compiling
 
-    own = os.environ.get("XLA_FLAGS", "")
+    user_flags = os.environ.get("XLA_FLAGS", "")
     flags = [
         f"--{name}={str(value).lower()}"
         for name, value in quick_compiling().items()
-        if name not in own
+        if name not in user_flags
     ]
     if flags:
-        os.environ["XLA_FLAGS"] = " ".join([*flags, own]).rstrip()
+        os.environ["XLA_FLAGS"] = " ".join([*flags, user_flags]).rstrip()
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 

@@ -115,11 +115,11 @@ def pattern(
     _expect_drawings(file, drawings, force=job.force)
     display = _read_screen(screen, is_meant=ending == ".png")
     kind, settings = _split_layout(layout)
-    chosen = read_settings("--camera", camera, _CAMERA)
+    camera_values = read_settings("--camera", camera, _CAMERA)
     proposal = None
-    if chosen:
+    if camera_values:
         _expect_free_sizes(kind, settings, rows, columns)
-        proposal = _propose_sheet(chosen, display, paper)
+        proposal = _propose_sheet(camera_values, display, paper)
     board = _make_board(kind, settings, rows, columns, proposal)
     if display is None:
         written, notes = _print(board, out, paper)

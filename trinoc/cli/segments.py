@@ -86,8 +86,8 @@ FIND: Mapping[str, Callable[[str], Any]] = {
 
 def find_settings(find: Settings) -> dict[str, Any]:
     """All settings of `find_segments`: those of --find, and the defaults. Raises UsageError."""
-    usual = {name: inspect.signature(segments).parameters[name].default for name in FIND}
-    settings = {**usual, **read_settings("--find", find, FIND)}
+    defaults = {name: inspect.signature(segments).parameters[name].default for name in FIND}
+    settings = {**defaults, **read_settings("--find", find, FIND)}
     _expect_find(settings, lambda name: f"--find {name}")
     return settings
 

@@ -74,23 +74,23 @@ def _undistort_rig(
     pictures = trinoc.io.read_views(files)
     for view, picture in pictures.items():
         expect_size(view, picture, rig)
-    chosen = trinoc.Rig(
+    rig_of_views = trinoc.Rig(
         {view: rig[view] for view in files}, parameters=rig.parameters, covariance=rig.covariance
     )
-    ideal = (trinoc.rectify if is_rectified else trinoc.undistort)(chosen, alpha=alpha)
+    ideal = (trinoc.rectify if is_rectified else trinoc.undistort)(rig_of_views, alpha=alpha)
     notes, has_sigmas = [*ideal.notes], bool(ideal.rig.parameters)
     if rig.parameters and not has_sigmas:
         parameters = [name.rpartition(".") for name in rig.parameters]
         is_open = any(
             parameter not in PARAMETER_NAMES for view, _, parameter in parameters if view in files
         )
-        why = (
+        reason = (
             f"{rig_file} has errors of the lenses, which the new cameras without distortion cannot "
             "contain"
             if is_open
             else "an optical axis does not meet the sheet"
         )
-        notes.append(f"The new rig has no sigmas: {why}.")
+        notes.append(f"The new rig has no sigmas: {reason}.")
     make_folder(out)
     for view in job.each(tuple(files), "undistorting"):
         trinoc.save(ideal.maps[view], maps[view], overwrite=True)
@@ -137,9 +137,9 @@ def _undistort_lens(
     trinoc.save(ideal.maps, maps, overwrite=True)
     for picture, file in job.each(new.items(), "undistorting"):
         trinoc.io.write_picture(picture, ideal.maps.resample(trinoc.io.read_image(file)))
-    named = {"lens": ideal.lens}
-    record = _record(named, {}, {"lens": maps})
-    return Outcome(_table(named, {"lens": ideal.maps}), record, written=(*new, maps, place))
+    lenses = {"lens": ideal.lens}
+    record = _record(lenses, {}, {"lens": maps})
+    return Outcome(_table(lenses, {"lens": ideal.maps}), record, written=(*new, maps, place))
 
 
 def _new_pictures(out: Path, files: Collection[Path], views: Iterable[str] = ()) -> list[Path]:
@@ -180,9 +180,9 @@ def _expect_places(
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out is {out}, which is not a folder: give a folder.")
     kinds = {**dict.fromkeys(maps, PictureMaps), **cameras}
-    taken = {file.resolve() for file in read}
+    input_files = {file.resolve() for file in read}
     for path in (*pictures, *kinds):
-        if path.resolve() in taken:
+        if path.resolve() in input_files:
             raise UsageError(f"{path} is an input and would be overwritten: give another --out.")
     # A folder with maps is one that this command wrote before.
     is_ours = all(path.exists() for path in kinds)

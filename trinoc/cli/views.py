@@ -256,8 +256,8 @@ def read_segments(
 def _warn_of_nothing(name: str, image: "np.ndarray | None", file: Path) -> None:
     from trinoc.segments.nothing_found import why_nothing
 
-    why = "The table is empty." if image is None else why_nothing(image)
-    LOGGER.warning('no segment in %s, the picture of "%s": %s', file, name, why)
+    reason = "The table is empty." if image is None else why_nothing(image)
+    LOGGER.warning('no segment in %s, the picture of "%s": %s', file, name, reason)
 
 
 def expect_names(files: Mapping[str, Path], rig: "trinoc.Rig", rig_file: Path) -> None:
@@ -324,9 +324,11 @@ def read_scene(
         )
     if matches is not None:
         tracks = trinoc.load_matches(matches)
-        others = [name for name in rig if name not in tracks.views]
-        if others:
-            LOGGER.warning("%s has no view of %s: left out", matches, list_names(others))
+        cameras_without_view = [name for name in rig if name not in tracks.views]
+        if cameras_without_view:
+            LOGGER.warning(
+                "%s has no view of %s: left out", matches, list_names(cameras_without_view)
+            )
         return SceneInput(tracks, None, None, {"matches": matches})
     files = files_of_rig(pictures, rig.names)
     check_views(files, rig, rig_file)

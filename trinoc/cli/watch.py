@@ -290,8 +290,8 @@ class _Calibration(NamedTuple):
         if self.session.kept is None:
             return f"The pictures remain in their folder. To continue, run: {command_line}"
         folder = shlex.quote(str(self.session.kept.folder))
-        more = "" if self.keep is not None else f" --keep {folder}"
-        return f"The shots are kept in {folder}. To continue, run: {command_line}{more}"
+        keep_option = "" if self.keep is not None else f" --keep {folder}"
+        return f"The shots are kept in {folder}. To continue, run: {command_line}{keep_option}"
 
 
 def _read_port(port: str | int) -> int:

@@ -264,21 +264,21 @@ def _status(result: CalibrationResult, name: str) -> StatusRow:
     if name not in result.fits:
         return StatusRow(name, failure or status.value, "failed", (), ())
     fit = result.fits[name]
-    lines = int(np.isfinite(fit.detection.lines_px).all(axis=1).sum())
+    line_count = int(np.isfinite(fit.detection.lines_px).all(axis=1).sum())
     used = int(fit.used.sum())
     figures = (
         ("circles found", f"{len(fit.detection)} of {len(result.pattern)}"),
         ("circles used", f"{used} of {len(fit.detection)}"),
-        ("cross lines found", f"{lines} of 2"),
+        ("cross lines found", f"{line_count} of 2"),
         ("residual length, rms", f"{with_decimals(fit.rms_px if used else float('nan'), 4)} px"),
         ("chi-square of the circles / dof", with_decimals(fit.reduced_chi_square, 2)),
         ("rank", str(fit.rank)),
         *_picture_figures(fit.image),
     )
     gauge = (f"Left free by the picture: {', '.join(fit.gauge)}.",) if fit.gauge else ()
-    more = (failure,) if failure and failure != status.value else ()
+    failures = (failure,) if failure and failure != status.value else ()
     verdict = {Status.CONVERGED: "good", Status.SUSPECT: "suspect"}.get(status, "failed")
-    return StatusRow(name, status.value, verdict, more + gauge + fit.notes, figures)
+    return StatusRow(name, status.value, verdict, failures + gauge + fit.notes, figures)
 
 
 def _picture_figures(quality: ImageQuality | None) -> tuple[tuple[str, str], ...]:
@@ -297,8 +297,8 @@ def _picture_figures(quality: ImageQuality | None) -> tuple[tuple[str, str], ...
 def _window(fit: CameraFit, picture: PagePicture) -> Window:
     """Part of the image that contains the detected circles, with a margin."""
     detection = fit.detection
-    reach = np.sqrt(np.diagonal(detection.shape_px2, axis1=1, axis2=2))
-    corners = [detection.centres_px - reach, detection.centres_px + reach]
+    half_size = np.sqrt(np.diagonal(detection.shape_px2, axis1=1, axis2=2))
+    corners = [detection.centres_px - half_size, detection.centres_px + half_size]
     return Window.around(np.concatenate(corners), picture)
 
 

@@ -131,8 +131,8 @@ class Limits(NamedTuple):
             return None
         level = self._level(answer.value)
         remedy = "" if level is Level.GOOD else answer.remedy or self.remedy
-        part = answer.part or self.part
-        return ReportCheck(self.question, level, answer.figure, answer.explanation, remedy, part)
+        section = answer.part or self.part
+        return ReportCheck(self.question, level, answer.figure, answer.explanation, remedy, section)
 
     def _level(self, value: float) -> Level:
         if self.good is None:

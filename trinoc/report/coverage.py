@@ -131,8 +131,8 @@ def coverage_by_circles(
 def coverage_by_boards(points: dict[str, CameraPlaces]) -> tuple[Coverage, ...]:
     """Coverage of each camera's image by the board points of all shots. points : by camera."""
     return tuple(
-        _coverage(name, of.picture, of.places_px, f"{len(of.places_px):,} places")
-        for name, of in points.items()
+        _coverage(name, places.picture, places.places_px, f"{len(places.places_px):,} places")
+        for name, places in points.items()
     )
 
 
@@ -177,19 +177,20 @@ def mean_residuals(points: dict[str, CameraPlaces]) -> tuple[tuple[MeanResiduals
 
     points : used board points and residuals by camera.
     """
-    averages = {name: _averages(of) for name, of in points.items()}
+    averages = {name: _averages(places) for name, places in points.items()}
     arrows = Arrows.reaching(
         [
             (
-                float(np.linalg.norm(of.mean_px, axis=1).max()),
+                float(np.linalg.norm(average.mean_px, axis=1).max()),
                 _REACH * points[name].picture.width_px / PARTS,
             )
-            for name, of in averages.items()
-            if len(of.mean_px)
+            for name, average in averages.items()
+            if len(average.mean_px)
         ]
     )
     return tuple(
-        _mean_residuals(name, of.picture, averages[name], arrows) for name, of in points.items()
+        _mean_residuals(name, places.picture, averages[name], arrows)
+        for name, places in points.items()
     ), arrows
 
 

@@ -147,27 +147,27 @@ def epipolar_part(
     points_px : (n, v, 2) corresponding points, NaN if a view does not show a point.
     pictures : images by view.
     """
-    everywhere = points_px[np.isfinite(points_px).all(axis=(1, 2))]
-    if len(everywhere) < 3 or len(rig) < 2:
+    common_points = points_px[np.isfinite(points_px).all(axis=(1, 2))]
+    if len(common_points) < 3 or len(rig) < 2:
         return None
-    shown = _spread(everywhere, SHOWN)
+    shown_rows = _spread(common_points, SHOWN)
     grids = {name: _rays_over(camera) for name, camera in rig.items()}
     figures = []
     for view, (name, camera) in enumerate(rig.items()):
         marks = tuple(
             Mark(str(number + 1), float(u), float(v), PALETTE[number % len(PALETTE)])
-            for number, (u, v) in enumerate(everywhere[shown, view])
+            for number, (u, v) in enumerate(common_points[shown_rows, view])
         )
         curves = []
         for order, other in enumerate(v for v in range(len(rig)) if v != view):
-            planes = epipolar_planes(camera, rig.cameras[other], everywhere[shown, other])
+            planes = epipolar_planes(camera, rig.cameras[other], common_points[shown_rows, other])
             for plane, mark in zip(planes, marks, strict=True):
                 curve = _curve(grids[name], plane, camera.image_size_px)
                 if curve is not None:
                     curves.append(EpipolarCurve(curve, rig.names[other], mark.colour, order > 0))
         figures.append(EpipolarFigure(name, pictures[name], marks, tuple(curves)))
     distances = {
-        (first, second): _rms_distance_px(rig[first], rig[second], everywhere[:, [a, b]])
+        (first, second): _rms_distance_px(rig[first], rig[second], common_points[:, [a, b]])
         for a, first in enumerate(rig)
         for b, second in enumerate(rig)
         if a < b
@@ -176,7 +176,7 @@ def epipolar_part(
         key,
         kind,
         tuple(figures),
-        len(everywhere),
+        len(common_points),
         tuple((*pair, with_decimals(distance, 3)) for pair, distance in distances.items()),
         max(distances.values()),
         [_numbers(rig, name, grids[name]) for name in rig],
@@ -189,12 +189,12 @@ def _spread(points: Float[np.ndarray, "n v 2"], count: int) -> list[int]:
     Each further point is the one that is farthest from the points already chosen.
     """
     first = points[:, 0]
-    chosen = [int(np.argmin(first.sum(axis=1)))]
-    nearest = np.full(len(points), np.inf)
-    while len(chosen) < min(count, len(points)):
-        nearest = np.minimum(nearest, np.linalg.norm(first - first[chosen[-1]], axis=1))
-        chosen.append(int(np.argmax(nearest)))
-    return chosen
+    rows = [int(np.argmin(first.sum(axis=1)))]
+    nearest_px = np.full(len(points), np.inf)
+    while len(rows) < min(count, len(points)):
+        nearest_px = np.minimum(nearest_px, np.linalg.norm(first - first[rows[-1]], axis=1))
+        rows.append(int(np.argmax(nearest_px)))
+    return rows
 
 
 def _rays_over(camera: Camera) -> Float[np.ndarray, "r c 3"]:
@@ -218,14 +218,14 @@ def _curve(
 
     rays : rays of a grid of pixels that spans the image. plane : normal of the epipolar plane.
     """
-    parts = find_contours(rays @ plane, 0.0)
-    if not parts:
+    contours = find_contours(rays @ plane, 0.0)
+    if not contours:
         return None
-    longest = max(
-        parts, key=lambda part: float(np.linalg.norm(np.diff(part, axis=0), axis=1).sum())
+    contour = max(
+        contours, key=lambda part: float(np.linalg.norm(np.diff(part, axis=0), axis=1).sum())
     )
     # Rows and columns of the grid.
-    return longest[:, ::-1] * (np.array(size_px) - 1) / (np.array(rays.shape[1::-1]) - 1)
+    return contour[:, ::-1] * (np.array(size_px) - 1) / (np.array(rays.shape[1::-1]) - 1)
 
 
 def _rms_distance_px(a: Camera, b: Camera, points: Float[np.ndarray, "n 2 2"]) -> float:

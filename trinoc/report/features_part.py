@@ -32,8 +32,8 @@ def features_figure(features: Feature, rig: Rig | None = None) -> SpaceFigure:
 
 def with_features(figure: SpaceFigure, kinds: Iterable[Feature]) -> SpaceFigure:
     """Add layers of features to a 3-D figure of the segments."""
-    more = tuple(layer for features in kinds for layer in features_layers(features))
-    return figure.join(SpaceFigure(more, (), ()))
+    layers = tuple(layer for features in kinds for layer in features_layers(features))
+    return figure.join(SpaceFigure(layers, (), ()))
 
 
 def features_layers(features: Feature) -> list[LineLayer]:
@@ -137,21 +137,21 @@ def wireframe_layers(frame: Wireframe) -> list[LineLayer]:
         (True, "three", "edges seen in three or more views"),
         (False, "two", "edges seen in two views"),
     ):
-        chosen = np.flatnonzero(frame.checked == checked).tolist()
-        if chosen:
-            descriptions = tuple(describe_edge(frame, edge) for edge in chosen)
-            parts = [lines[edge] for edge in chosen]
-            layers.append(LineLayer(f"{name} ({len(chosen)})", role, parts, True, (), descriptions))
+        rows = np.flatnonzero(frame.checked == checked).tolist()
+        if rows:
+            descriptions = tuple(describe_edge(frame, edge) for edge in rows)
+            parts = [lines[edge] for edge in rows]
+            layers.append(LineLayer(f"{name} ({len(rows)})", role, parts, True, (), descriptions))
     if len(frame.planes):
         parts = [_outline(points[loop]) for loop in frame.faces]
         layers.append(LineLayer(f"planar faces ({len(parts)})", "sheet", parts))
     for corner, name in ((True, "corners"), (False, "free ends")):
-        chosen = np.flatnonzero(frame.corner == corner).tolist()
-        if chosen:
-            descriptions = tuple(_describe_vertex(frame, vertex) for vertex in chosen)
-            parts = [points[vertex][None] for vertex in chosen]
+        rows = np.flatnonzero(frame.corner == corner).tolist()
+        if rows:
+            descriptions = tuple(_describe_vertex(frame, vertex) for vertex in rows)
+            parts = [points[vertex][None] for vertex in rows]
             layers.append(
-                LineLayer(f"{name} ({len(chosen)})", "ellipsoids", parts, corner, (), descriptions)
+                LineLayer(f"{name} ({len(rows)})", "ellipsoids", parts, corner, (), descriptions)
             )
     return layers
 

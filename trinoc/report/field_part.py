@@ -233,8 +233,8 @@ def _planes(
         return (), np.nan
     size = box.high_mm - box.low_mm
     side = float(size[:2].max())
-    flat = matches is None or not len(matches)
-    low, high = (0.0, 0.25 * side) if flat else (float(box.low_mm[2]), float(box.high_mm[2]))
+    is_empty = matches is None or not len(matches)
+    low, high = (0.0, 0.25 * side) if is_empty else (float(box.low_mm[2]), float(box.high_mm[2]))
     below, within, above = LEVELS
     heights = np.concatenate(
         [

@@ -125,40 +125,49 @@ def frames_part(frames: Mapping[str, Matches | None], failures: Mapping[str, str
     Raises InputError if all frames failed.
     """
     fates = tuple(_frame_fate(name, frames[name], failures.get(name, "")) for name in frames)
-    well = [fate for fate in fates if not fate.problem] or [
+    good_fates = [fate for fate in fates if not fate.problem] or [
         fate for fate in fates if np.isfinite(fate.tracks)
     ]
-    if not well:
+    if not good_fates:
         raise InputError("Every frame failed: there is nothing to report but the manifest.")
-    tracks = np.array([fate.tracks for fate in well])
+    tracks = np.array([fate.tracks for fate in good_fates])
     median = float(np.median(tracks))
-    middle = well[int(np.argmin(np.abs(tracks - median)))].name
-    few = f"fewer tracks than {percent(FEW)} of the median ({median:.0f})"
+    middle = good_fates[int(np.argmin(np.abs(tracks - median)))].name
+    few_tracks = f"fewer tracks than {percent(FEW)} of the median ({median:.0f})"
     # Where most frames are to be used with care, such as those of two views, one is not listed.
-    is_usual = sum(bool(fate.care) for fate in well) > len(well) / 2
-    odd = []
+    is_usual = sum(bool(fate.care) for fate in good_fates) > len(good_fates) / 2
+    fates_to_look_at = []
     for fate in fates:
-        why = fate.problem or ("" if is_usual else fate.care)
-        if why or fate.tracks < FEW * median:
-            odd.append(fate._replace(problem=why or few))
-    numbers = np.array([(f.tracks, f.share, f.agreement) for f in fates]).T
-    many, share, agreement = (_columns(row) for row in numbers)
-    most_tracks = max(float(np.nanmax(numbers[0])), 1.0)
-    noisiest = max(float(np.nanmax(numbers[2], initial=0.0)), 2.0)
+        problem = fate.problem or ("" if is_usual else fate.care)
+        if problem or fate.tracks < FEW * median:
+            fates_to_look_at.append(fate._replace(problem=problem or few_tracks))
+    fate_values = np.array([(f.tracks, f.share, f.agreement) for f in fates]).T
+    tracks_chart, share_chart, agreement_chart = (_columns(row) for row in fate_values)
+    most_tracks = max(float(np.nanmax(fate_values[0])), 1.0)
+    noisiest = max(float(np.nanmax(fate_values[2], initial=0.0)), 2.0)
     charts = (
-        FrameChart("Tracks", "0", f"{most_tracks:.0f}", many / most_tracks),
-        FrameChart("Segments on a track", "0 %", "100 %", share),
+        FrameChart("Tracks", "0", f"{most_tracks:.0f}", tracks_chart / most_tracks),
+        FrameChart("Segments on a track", "0 %", "100 %", share_chart),
         FrameChart(
             "Views apart, in sigmas",
             "0",
             with_decimals(noisiest, 1),
-            agreement / noisiest,
+            agreement_chart / noisiest,
         ),
     )
-    bad = tuple((number + 0.5) / len(fates) for number, fate in enumerate(fates) if fate.problem)
+    problem_positions = tuple(
+        (number + 0.5) / len(fates) for number, fate in enumerate(fates) if fate.problem
+    )
     return FramesPart(
-        *(fates, charts, bad, tuple(odd[:LISTED]), max(len(odd) - LISTED, 0), middle),
-        _run_medians(np.array([fate.agreement for fate in well])),
+        *(
+            fates,
+            charts,
+            problem_positions,
+            tuple(fates_to_look_at[:LISTED]),
+            max(len(fates_to_look_at) - LISTED, 0),
+            middle,
+        ),
+        _run_medians(np.array([fate.agreement for fate in good_fates])),
     )
 
 

@@ -203,9 +203,9 @@ def render_report(
         raise InputError("A report needs a rig or a calibration: give at least one of them.")
     views = matches.views if matches is not None else tuple(segments or {})
     _check_views("segments" if matches is None else "matches", views, rig)
-    scene_rig, others = rig.take(views or rig.names), ()
+    scene_rig, cameras_without_view = rig.take(views or rig.names), ()
     if result is None:
-        others = tuple(name for name in rig if name not in scene_rig.names)
+        cameras_without_view = tuple(name for name in rig if name not in scene_rig.names)
         rig = scene_rig
     sizes = {name: camera.image_size_px for name, camera in rig.items()}
     if result is not None:
@@ -225,7 +225,7 @@ def render_report(
     parts = []
     if recording is not None:
         parts.append(ReportPart("recording", "All frames", "recording", recording))
-    cameras = cameras_part(rig, result, reference, reference_name, others)
+    cameras = cameras_part(rig, result, reference, reference_name, cameras_without_view)
     parts.append(ReportPart("cameras", "Cameras", "cameras", cameras))
     if result is not None and result.fits:
         values = sheet_part(result, subject.coverage, sheet)
@@ -235,16 +235,16 @@ def render_report(
     if subject.epipolar:
         parts.append(ReportPart("epipolar", "Epipolar check", "epipolar", subject.epipolar))
     if segments or matches is not None:
-        lines = matches_part(views, segments or {}, matches, scene)
-        if lines.segments:
-            parts.append(ReportPart("segments", "Segments found", "segments", lines))
+        section = matches_part(views, segments or {}, matches, scene)
+        if section.segments:
+            parts.append(ReportPart("segments", "Segments found", "segments", section))
         if matches is not None:
-            parts.append(ReportPart("matches", "Matched segments", "matches", lines))
-            parts.append(ReportPart("counts", "Counts, and why not", "counts", lines))
-    listed = [each for each in features if each.READ_FIRST]
-    titled = [(each.IN_WORDS.capitalize(), feature_table(each)) for each in listed]
-    titled += [(t.title, ReportTable(t.head, t.rows, note=t.caption)) for t in tables]
-    for number, (heading, table) in enumerate(titled, 1):
+            parts.append(ReportPart("matches", "Matched segments", "matches", section))
+            parts.append(ReportPart("counts", "Counts, and why not", "counts", section))
+    listed_features = [each for each in features if each.READ_FIRST]
+    titled_tables = [(each.IN_WORDS.capitalize(), feature_table(each)) for each in listed_features]
+    titled_tables += [(t.title, ReportTable(t.head, t.rows, note=t.caption)) for t in tables]
+    for number, (heading, table) in enumerate(titled_tables, 1):
         parts.append(ReportPart(f"table-{number}", heading, "table", table))
     space = space_figure(rig, pattern, matches)
     parts.append(_space_part(with_features(space, features), tracks=matches is not None))

@@ -42,19 +42,19 @@ def place_labels(
 
     A label without a free position is omitted.
     """
-    taken: list[tuple[float, float, float, float]] = []
+    occupied_boxes: list[tuple[float, float, float, float]] = []
     labels = []
     for text, (first, second) in zip(texts, lines_px, strict=True):
         along = second - first
         length = float(np.hypot(*along))
         across = np.array([-along[1], along[0]]) / (length + 1e-9) * AWAY * window.unit
-        half = np.array([len(text) * LETTER, HEIGHT]) * window.unit / 2
+        half_size = np.array([len(text) * LETTER, HEIGHT]) * window.unit / 2
         for share, side in ((share, side) for share in PLACES for side in (1, -1)):
             middle = first + share * along + side * across
-            low, high = middle - half, middle + half
+            low, high = middle - half_size, middle + half_size
             box = (*low.tolist(), *high.tolist())
-            if _inside(box, window) and not any(_overlap(box, other) for other in taken):
-                taken.append(box)
+            if _inside(box, window) and not any(_overlap(box, other) for other in occupied_boxes):
+                occupied_boxes.append(box)
                 labels.append(PlacedLabel(float(middle[0]), float(middle[1]), text))
                 break
     return labels
@@ -186,7 +186,7 @@ def tracks_figures(
     tracks = np.flatnonzero(np.asarray(matches.stage) == stage)
     if len(tracks) == 0:
         return ()
-    longest = tracks[np.argsort(-sigmas.length_mm[tracks], kind="stable")][:NUMBERED]
+    longest_tracks = tracks[np.argsort(-sigmas.length_mm[tracks], kind="stable")][:NUMBERED]
     figures = []
     for view, name in enumerate(matches.views):
         strokes = []
@@ -204,10 +204,10 @@ def tracks_figures(
         faint = ends[~np.isin(np.arange(len(ends)), matches.index[tracks, view])]
         picture, caption = pictures[name], f"{len(strokes):,} tracks"
         by_track = {stroke.track: stroke for stroke in strokes}
-        named = [(str(t), by_track[t]) for t in longest.tolist() if t in by_track]
+        labelled = [(str(t), by_track[t]) for t in longest_tracks.tolist() if t in by_track]
         labels = place_labels(
-            [text for text, _ in named],
-            np.array([((s.u1, s.v1), (s.u2, s.v2)) for _, s in named]).reshape(-1, 2, 2),
+            [text for text, _ in labelled],
+            np.array([((s.u1, s.v1), (s.u2, s.v2)) for _, s in labelled]).reshape(-1, 2, 2),
             picture.window,
         )
         figures.append(SegmentsFigure(name, picture, tuple(strokes), faint, caption, tuple(labels)))

@@ -80,11 +80,11 @@ def draw_tracks(axes: "Axes", picture: np.ndarray, matches: Matches, view: str, 
     fragments = np.asarray(matches.fragments_px)
     colours = distinct_neighbours(fragments.mean(axis=2))
     column = matches.views.index(view)
-    shown = (np.asarray(matches.stage) == stage) & (np.asarray(matches.index)[:, column] >= 0)
+    is_drawn = (np.asarray(matches.stage) == stage) & (np.asarray(matches.index)[:, column] >= 0)
     axes.add_collection(
         LineCollection(
-            list(fragments[shown, column]),
-            colors=[PALETTE[colour] for colour in colours[shown]],
+            list(fragments[is_drawn, column]),
+            colors=[PALETTE[colour] for colour in colours[is_drawn]],
             linewidths=1.8,
         )
     )
@@ -121,8 +121,8 @@ def draw_lines_in_space(
         if len(lines):
             axes.add_collection3d(Line3DCollection(list(lines), colors=colour, linewidths=1.4))
     if within is None:
-        every = [line for lines, _ in strokes for line in lines]
-        within = np.concatenate(every) if every else np.zeros((1, 3))
+        all_lines = [line for lines, _ in strokes for line in lines]
+        within = np.concatenate(all_lines) if all_lines else np.zeros((1, 3))
     low, high = np.nanmin(within, axis=0), np.nanmax(within, axis=0)
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])

@@ -103,7 +103,7 @@ def shot_images_part(
     pictures : images as `calibrate_rig` takes them: arrays, detections, or functions that return an
     array. Only images that the page shows are read. An image that is not given is replaced by grey.
     """
-    named = name_pictures(pictures or {})
+    named_pictures = name_pictures(pictures or {})
     shots_of = {
         number: sorted(_list_shots(result, number), key=lambda shot: -shot.rms_px)
         for number in range(len(result.cameras))
@@ -114,7 +114,9 @@ def shot_images_part(
             result.cameras[number],
             _describe_choice(len(shots)),
             tuple(
-                _shot_image(result, number, shot, named.get(result.cameras[number], {}), arrows)
+                _shot_image(
+                    result, number, shot, named_pictures.get(result.cameras[number], {}), arrows
+                )
                 for shot in shots[:MOST_SHOTS]
             ),
         )
@@ -123,8 +125,8 @@ def shot_images_part(
     )
     if not cameras:
         return None
-    shown = [figure for camera in cameras for figure in camera.figures]
-    return ShotImagesPart(cameras, arrows.texts[0], any(figure.left_out for figure in shown))
+    figures = [figure for camera in cameras for figure in camera.figures]
+    return ShotImagesPart(cameras, arrows.texts[0], any(figure.left_out for figure in figures))
 
 
 def _describe_choice(count: int) -> str:

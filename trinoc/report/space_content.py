@@ -35,13 +35,13 @@ def distinct_neighbours(
 
     midpoints_px : (t, v, 2) midpoints of the tracks, NaN if a view does not show a track.
     """
-    chosen = np.zeros(len(midpoints_px), dtype=np.int64)
+    colour_of_track = np.zeros(len(midpoints_px), dtype=np.int64)
     for track in range(1, len(midpoints_px)):
         squared = np.sum((midpoints_px[:track] - midpoints_px[track]) ** 2, axis=-1)
         nearness = np.max(np.nan_to_num(1.0 / (squared + 1.0)), axis=-1)
-        crowding = np.bincount(chosen[:track], weights=nearness, minlength=colours)
-        chosen[track] = int(np.argmin(crowding))
-    return chosen
+        crowding = np.bincount(colour_of_track[:track], weights=nearness, minlength=colours)
+        colour_of_track[track] = int(np.argmin(crowding))
+    return colour_of_track
 
 
 FRUSTUM_SHARE = 0.14
@@ -121,8 +121,8 @@ def content_box(pattern: Pattern | None, matches: Matches | None) -> Box | None:
             points.append(ends[(np.abs(ends - middle) <= reach).all(axis=1)])
     if pattern is not None:
         margin = pattern.radius_mm[:, None]
-        flat = np.concatenate([pattern.centres_mm - margin, pattern.centres_mm + margin])
-        points.append(np.column_stack([flat, np.zeros(len(flat))]))
+        circle_corners = np.concatenate([pattern.centres_mm - margin, pattern.centres_mm + margin])
+        points.append(np.column_stack([circle_corners, np.zeros(len(circle_corners))]))
     if not points:
         return None
     return Box.around(np.concatenate(points), 0.08)

@@ -385,7 +385,7 @@ def place_names(
     labels: list[tuple[float, float, str]] = []
     for x, y, name in names:
         steps = (sign * k * height for k in range(2 * len(labels) + 1) for sign in (-1, 1))
-        free = (
+        free_heights = (
             y + step
             for step in steps
             if (step == 0.0 or y + step > top)
@@ -395,7 +395,7 @@ def place_names(
                 for u, v, other in labels
             )
         )
-        labels.append((x, next(free, y), name))
+        labels.append((x, next(free_heights, y), name))
     return tuple(labels)
 
 

@@ -18,16 +18,16 @@ def errors_text(errors: "Sequence[ParameterError]", reference_name: str) -> str:
     from trinoc.report.parameter_table import LABELS
 
     rows = []
-    for number, each in enumerate(errors):
-        first = number == 0 or errors[number - 1].camera != each.camera
+    for number, error in enumerate(errors):
+        first = number == 0 or errors[number - 1].camera != error.camera
         rows.append(
             (
-                each.camera if first else "",
-                LABELS[each.parameter],
-                with_sigma(each.value, each.sigma),
-                with_decimals(each.known, 3),
-                with_sign(each.error, significant_decimals(each.sigma)),
-                with_sign(each.over_sigma, 1),
+                error.camera if first else "",
+                LABELS[error.parameter],
+                with_sigma(error.value, error.sigma),
+                with_decimals(error.known, 3),
+                with_sign(error.error, significant_decimals(error.sigma)),
+                with_sign(error.over_sigma, 1),
             )
         )
     head = ("camera", "parameter", "found", reference_name, "error", "error/sigma")

@@ -196,10 +196,10 @@ def _answer_on_points(subject: Subject) -> Answer | None:
 
 
 def _answer_on_lens_fit(subject: Subject) -> Answer | None:
-    fields = [each for each in subject.residuals if np.isfinite(each.over_chance)]
+    fields = [field for field in subject.residuals if np.isfinite(field.over_chance)]
     if not fields:
         return None
-    worst = max(fields, key=lambda each: each.over_chance)
+    worst = max(fields, key=lambda field: field.over_chance)
     explanation = (
         f"mean residuals over parts of the picture of {worst.name}, "
         f"{with_decimals(worst.rms_px, 3)} px rms."

@@ -51,8 +51,10 @@ def card_table(value: Any) -> ReportTable:
     """Table of a value for its card: the table of the report if it has one, else of its columns."""
     columns = value.named_columns(brief=True) if isinstance(value, Table) else list_columns(value)
     count = len(next(iter(columns.values()), []))
-    shown = ROWS_OF_PARAMETERS if "parameter" in columns else ROWS
-    cells = {name: [_cell_text(item) for item in each[:shown]] for name, each in columns.items()}
+    row_count = ROWS_OF_PARAMETERS if "parameter" in columns else ROWS
+    cells = {
+        name: [_cell_text(item) for item in each[:row_count]] for name, each in columns.items()
+    }
     if "sigma" in cells:
         del cells["sigma"]
         pairs = zip(columns["value"], columns["sigma"], strict=True)
@@ -60,7 +62,7 @@ def card_table(value: Any) -> ReportTable:
     rows = list(zip(*cells.values()))
     if count == 1:
         return ReportTable((), list(zip(cells, rows[0], strict=True)))
-    return _first_rows(ReportTable(tuple(cells), rows), count, shown)
+    return _first_rows(ReportTable(tuple(cells), rows), count, row_count)
 
 
 def _first_rows(table: ReportTable, count: int, shown: int = ROWS) -> ReportTable:
@@ -182,14 +184,14 @@ def _svg(strokes: Strokes) -> str:
     points = [part for parts, _ in strokes for part in parts[:MOST_LINES]]
     if not points:
         return ""
-    together = np.concatenate(points)
-    together = together[np.isfinite(together).all(axis=1)]
-    if not len(together):
+    points_px = np.concatenate(points)
+    points_px = points_px[np.isfinite(points_px).all(axis=1)]
+    if not len(points_px):
         return ""
-    low, high = together.min(axis=0), together.max(axis=0)
-    room = 0.05 * max(float(np.max(high - low)), 1e-9)
-    left, top = (low - room).tolist()
-    width, height = (high - low + 2 * room).tolist()
+    low, high = points_px.min(axis=0), points_px.max(axis=0)
+    margin = 0.05 * max(float(np.max(high - low)), 1e-9)
+    left, top = (low - margin).tolist()
+    width, height = (high - low + 2 * margin).tolist()
     step = max(width, height) / 2000
     paths = "".join(
         f'<path fill="none" vector-effect="non-scaling-stroke" stroke-width="1.3" '
