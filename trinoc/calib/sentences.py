@@ -226,7 +226,7 @@ def one_of_them_is_off(kinds: Sequence[str], sigmas: float) -> str:
     remedies = dict.fromkeys(_REMEDY[kind] for kind in kinds)
     return (
         f"the images contradict one of these stated values by {sigmas:.1f} sigma, but cannot show "
-        f"which: {_join([_NAME[kind] for kind in kinds], 'or')}. "
+        f"which value is wrong: {_join([_NAME[kind] for kind in kinds], 'or')}. "
         f"{capitalise(_join(list(remedies), 'or'))}."
     )
 
@@ -299,13 +299,13 @@ _PERCENT = ("focal length", "aspect")
 def measurement_advice(advice: MeasurementAdvice) -> str:
     """The measurement that would reduce the sigmas most, and by how much."""
     gains = " and ".join(
-        f"of the {quantity} from {before:.2g} to {after:.2g} {unit}"
+        f"the largest sigma of the {quantity} would be {after:.2g} {unit} (now {before:.2g} {unit})"
         for quantity, before, after, unit in advice.gains
     )
     sentence = (
         f"The uncertainty of the {advice.subject} causes most of the cameras' sigmas: "
-        f"{_HOW[advice.subject]}. With a sigma {advice.tuning.better_known:.0f} times smaller for "
-        f"the {advice.subject}, the largest sigma would decrease {gains}."
+        f"{_HOW[advice.subject]}. With a {advice.subject} known "
+        f"{advice.tuning.better_known:.0f} times as well, {gains}."
     )
     if advice.subject != "lens":
         return sentence
@@ -520,7 +520,7 @@ def grey_levels_not_used(where: str, reason: str) -> str:
 
 def detection_remark(where: str, remark: str) -> str:
     """Corners of an image that the detector rejected. remark : their number and the reason."""
-    return f"{where}: {remark}; not used."
+    return f"{where}: {remark}. These points were not used."
 
 
 # Reasons why a lens must not be used.
@@ -582,27 +582,30 @@ def shots_differ(factor: float, has_causes: bool) -> str:
 def cause_of_misfit(cause: MisfitCause, cameras: Sequence[str], shots: Sequence[str]) -> str:
     """A pattern in the residuals that shows their cause, and the remedy."""
     camera = f'"{cameras[cause.camera]}"'
-    size = f"{cause.amplitude_px:.2g} px rms (all residuals: {cause.noise_px:.2g} px rms)"
+    amplitude = f"{cause.amplitude_px:.2g} px"
+    residuals = f"all residuals of this camera: {cause.noise_px:.2g} px rms"
     if cause.kind is CauseKind.LENS_MODEL:
         return (
-            f"The residuals of {camera} have a pattern of {size} that is equal in all images, so "
-            "the lens model is not sufficient. Choose --lens-model auto or --lens-model splined."
+            f"The residuals of {camera} have a pattern of {amplitude} rms that is equal in all "
+            f"images ({residuals}), so the lens model is not sufficient. Choose --lens-model auto "
+            "or --lens-model splined."
         )
     if cause.kind is CauseKind.BOARD_CHANGES:
         return (
-            f"The board changes its shape between the images of {camera} by {size}: it bends, or "
-            "it moves during the exposure. Fix the board to a stiff plate, and keep it still."
+            f"The shape of the board differs between the images of {camera} by {amplitude} rms "
+            f"({residuals}), so the board bends, or moves during the exposure. Fix the board to a "
+            "stiff plate, and keep it still."
         )
     if cause.kind is CauseKind.CAMERA_MOVED:
         return (
             f'{camera} moved before the shot "{shots[cause.shot]}": from this shot on, the board '
-            f"is shifted by {cause.amplitude_px:.2g} px in its images. Calibrate the earlier and "
-            "the later shots separately."
+            f"is shifted by {amplitude} in its images. Calibrate the earlier and the later shots "
+            "separately."
         )
     return (
-        f"{camera} shows the board {size} from the position that the other cameras of the shot "
-        "give (median of all shots): the cameras are not synchronised. Keep the board still in "
-        "each shot, or trigger the cameras together."
+        f"{camera} shows the board {amplitude} from the position that the other cameras of the "
+        f"shot give, in the median of all shots ({residuals}), so the cameras are not "
+        "synchronised. Keep the board still in each shot, or trigger the cameras together."
     )
 
 

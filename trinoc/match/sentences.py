@@ -114,7 +114,7 @@ def most_likely_mistake(description: str, corrected: int, uncorrected: int) -> s
     """The mistake that was probably made. The counts are of a sample of the segments."""
     return (
         f"Probably {description}: a sample of the segments gives {uncorrected} sure lines, and "
-        f"{corrected} after this is corrected. Correct this, and match again."
+        f"{corrected} sure lines without this mistake. Correct the mistake, and match again."
     )
 
 
@@ -201,8 +201,8 @@ DO_NOT_BELONG = "the segments and the rig do not belong together."
 def only_two_views(tracks: int) -> str:
     """No third view confirms the tracks."""
     return (
-        f"there are {tracks} tracks, and some of them may be wrong by chance, because no third "
-        "view confirms them."
+        f"there are {tracks} tracks, and some tracks may be wrong by chance, because no third view "
+        "confirms them."
     )
 
 
