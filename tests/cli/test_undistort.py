@@ -182,7 +182,7 @@ def test_pictures_of_equal_names_get_those_of_their_cameras(folder):
         (("top=upper.png", *RIG), 1, 'no camera "top"'),
         (("upper=small.png", *RIG), 1, 'picture of "upper" is 60 x 40 px'),
         (("small.png", "--lens", "camera.json"), 1, "small.png is 60 x 40 px, but camera.json"),
-        (("left.png", "--lens", "camera.json", "--rectify"), 2, "--rectify is of a rig"),
+        (("left.png", "--lens", "camera.json", "--rectify"), 2, "--rectify needs a rig"),
         ((*PICTURES, *RIG, "--rectify"), 1, "Rectification needs two cameras"),
         (("left.png", "./left.png", "--lens", "camera.json"), 2, "would both become"),
         (("left.png", "none.png", "--lens", "camera.json"), 1, "none.png does not exist"),

@@ -103,7 +103,7 @@ def calibrate_intrinsics(
     is_splined = splined is not False or issubclass(models[0], AbstractSplinedLens)
     if aspect != "free" and (method == "pixels" or is_splined):
         option = 'method="pixels"' if method == "pixels" else "A splined lens"
-        raise InputError(f"{option} estimates both focal lengths: leave out aspect.")
+        raise InputError(f"{option} estimates both focal lengths: omit aspect.")
     shots = [f"picture {k + 1}" for k in range(len(images_or_detections))]
     images = {CAMERA: dict(zip(shots, images_or_detections, strict=True))}
     expect_method(method, pattern, images)

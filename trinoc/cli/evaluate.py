@@ -58,7 +58,7 @@ def evaluate(
         Table with one row of results.
     """
     if not within_mm:
-        raise UsageError("--within-mm has no distance: give one or more, or leave it out.")
+        raise UsageError("--within-mm has no distance: give at least one, or omit --within-mm.")
     if rig is None and form != "tracks":
         raise UsageError("Joining collinear lines needs the rig: add --rig.")
 

@@ -49,7 +49,7 @@ def undistort(
     if not isinstance(cameras, trinoc.Intrinsics):
         raise UsageError(f"{rig} holds neither a rig nor a lens: give one of them.")
     if rectify:
-        raise UsageError(f"--rectify is of a rig, but {rig} holds one lens: leave it out.")
+        raise UsageError(f"--rectify needs a rig, but {rig} contains one lens: omit --rectify.")
     warn_of_folds(cameras, rig)
     return _undistort_lens(cameras, [Path(image) for image in images], rig, alpha, out, job)
 

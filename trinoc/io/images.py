@@ -218,7 +218,8 @@ def refuse_videos(files: Iterable[Path]) -> None:
         if file.suffix.lower() in VIDEO_SUFFIXES:
             raise InputError(
                 f"{file} is a video: write its frames by `trinoc export {shlex.quote(str(file))} "
-                "--from video -o frames`, or give it to `trinoc watch` where a board is waved."
+                "--from video -o frames`, or give the video to `trinoc watch` if it shows a moving "
+                "board."
             )
 
 

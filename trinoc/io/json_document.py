@@ -47,7 +47,7 @@ def parsed_json(text: str, file: str | os.PathLike[str]) -> Any:
         raise InputError(f"{file}: {error}") from error
     except ValueError as error:  # of Python, whose integers have at most 4,300 digits
         raise InputError(
-            f"{file} holds a number of thousands of digits: write it as 1.5e300, if it is meant."
+            f"{file} contains a number with thousands of digits: write a number such as 1.5e300."
         ) from error
     # Halves of a character, which JSON can name by \\u, cannot be printed or written again.
     if re.search(r"\\u[dD][89a-fA-F]", text) and has_half_characters(

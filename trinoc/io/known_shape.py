@@ -127,7 +127,7 @@ def _of_json(file: Path, unit_mm: float, grey_step: float) -> KnownShape:
     document = parsed_json(_read_text(file), file)
     if isinstance(document, dict) and document.get("format") == SCENE_FORMAT:
         if unit_mm != 1.0:
-            raise InputError(f"{file} is in millimetres already: leave the unit out.")
+            raise InputError(f"{file} is in millimetres already: omit the unit.")
         truth = load_scene_truth(file)
         return _check_shape(KnownShape.of_scene(truth, grey_step=grey_step), file)
     if isinstance(document, dict):

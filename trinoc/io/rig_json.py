@@ -297,7 +297,7 @@ def _check_consistent(block: Block, camera: Camera, other: Camera) -> None:
     ):
         raise block.error(
             "extrinsics",
-            "and cam_from_world describe different cameras: remove the one that is not meant.",
+            "and cam_from_world describe different cameras: remove the wrong one of the two.",
         )
 
 

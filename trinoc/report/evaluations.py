@@ -35,7 +35,9 @@ def evaluation_text(evaluation: Evaluation) -> str:
             f"shifted by ({shift}) mm"
         )
         if motion.rank < 6:
-            parts.append("the edges leave a part of this motion free, which was not moved")
+            parts.append(
+                "the edges do not determine a part of this motion, and this part was not applied"
+            )
     return "\n\n".join(parts)
 
 

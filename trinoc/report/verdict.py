@@ -323,7 +323,7 @@ CHECKS = (
     ),
     Limits(
         "Do the shots agree?", "shots", 0,
-        "Mend what the sentence names, or take these shots out.",
+        "Correct the cause that the sentence names, or remove these shots.",
         _answer_on_shots,
     ),
     Limits(

@@ -377,7 +377,7 @@ def test_names_given_must_be_as_many_and_different(tmp_path):
         with pytest.raises(InputError, match="as many different names"):
             FORMATS["kalibr"].load(path, names=names)
     FORMATS["opencv"].save(LENS, tmp_path / "lens.yml")
-    with pytest.raises(InputError, match="leave the names out"):
+    with pytest.raises(InputError, match="omit the names"):
         FORMATS["opencv"].load(tmp_path / "lens.yml", names=("a",))
 
 

@@ -279,7 +279,7 @@ def _expect_writable(value: object, target: Path) -> None:
 
 def _rename_cameras(value: object, names: tuple[str, ...], source: Path) -> Rig:
     if not isinstance(value, Rig):
-        raise InputError(f"{source} holds no cameras with names: leave the names out.")
+        raise InputError(f"{source} contains no cameras with names: omit the names.")
     if len(names) != len(value) or len(set(names)) < len(names) or not all(names):
         raise InputError(
             f"{source} holds {len(value)} cameras ({list_names(value)}): give as many "

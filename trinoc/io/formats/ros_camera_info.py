@@ -193,8 +193,8 @@ def _expect_whole_picture(roi: Block, size: list[float]) -> None:
     if part not in ([0.0, 0.0, 0.0, 0.0], [0.0, 0.0, *size]):
         raise InputError(
             f'{roi.file}: "roi" is a part of the picture ({part[2]:g} x {part[3]:g} at '
-            f"{part[0]:g}, {part[1]:g}): deliver whole pictures, or calibrate those that are "
-            "delivered."
+            f"{part[0]:g}, {part[1]:g}): use whole pictures, or calibrate with pictures of this "
+            "part."
         )
 
 
