@@ -87,7 +87,14 @@ def _ridge_blur_px(
     ridge: Bool[np.ndarray, "h w"],
     mask: Bool[np.ndarray, "h w"] | None = None,
 ) -> float:
-    """Blur of the steep edges among the pixels of a mask, or of all; NaN with too few edges."""
+    """Median blur of the steep edges in an image, px; NaN with too few edges.
+
+    The blur follows from the gradients at two scales.
+
+    fine, coarse : lengths of the grey levels' gradient after a small and a large Gaussian blur.
+    ridge : mask of the pixels where the gradient is a local maximum. mask : mask of the pixels to
+        use; None for all.
+    """
     slopes = fine if mask is None else fine[mask]
     if not len(slopes):
         return float("nan")

@@ -344,7 +344,7 @@ def _pairs_of_views(matches: Matches) -> tuple[tuple[str, int], ...]:
 
 
 def tracks_table(matches: Matches) -> ReportTable:
-    """The longest tracks: their views, segments, length, sigma and posterior."""
+    """Table of the longest tracks: views, segments, length, sigma and posterior of each."""
     sigmas, colours = line_sigmas(matches.lines_mm, matches.covariance_mm2), track_colours(matches)
     order = np.argsort(-sigmas.length_mm, kind="stable")[:TABLE_ROWS].tolist()
     none = np.zeros(len(matches))
