@@ -129,9 +129,9 @@ def grey_levels_have_no_fit(reason: str) -> str:
 
 def circles_not_used(circles: Sequence[int]) -> str:
     """Circles that are outliers."""
+    circles_were = "circle was" if len(circles) == 1 else "circles were"
     return (
-        f"{len(circles)} circle{'s were' if len(circles) > 1 else ' was'} located wrongly and not "
-        f"used. The pattern has {'these circles' if len(circles) > 1 else 'this circle'} at index "
+        f"{len(circles)} {circles_were} located wrongly and not used. Index in the pattern: "
         f"{', '.join(str(k) for k in circles)}."
     )
 
@@ -151,7 +151,8 @@ def not_determined_one_by_one(parameters: Sequence[str]) -> str:
 
 def effects_included(effects: Sequence[str]) -> str:
     """Effects of camera and light that the image shows and the fit models."""
-    return f"the image shows {', '.join(effects)}. The fit to the grey levels models this."
+    these = "this effect" if len(effects) == 1 else "these effects"
+    return f"the image shows {', '.join(effects)}. The fit to the grey levels models {these}."
 
 
 def pixels_not_used(share: float) -> str:
@@ -388,11 +389,12 @@ def coefficients_not_called_for(
     count: int, names: Sequence[str], extra: Sequence[str], gain: float
 ) -> str:
     """The first `count` coefficients of a lens suffice. gain : chi-square of the `extra` ones."""
-    needed, unneeded = ", ".join(names[:count]) or "no distortion", ", ".join(extra)
+    needed = "no distortion coefficient" if count == 0 else f"only {', '.join(names[:count])}"
+    unneeded = ", ".join(extra)
     verb = "reduces" if len(extra) == 1 else "reduce"
     return (
-        f"The images need {needed}; {unneeded} {verb} chi-square by {gain:.1f}, no more than noise "
-        f"does. To omit {unneeded}, use distortion={count}."
+        f"The images need {needed}, because {unneeded} {verb} chi-square by {gain:.1f}, no more "
+        f"than noise does. To omit {unneeded}, use distortion={count}."
     )
 
 
@@ -560,12 +562,12 @@ def circles_of_camera_scatter(camera: str, factor: float) -> str:
 
 def residuals_exceed_sigmas(camera: str, factor: float, has_causes: bool) -> str:
     """Residuals of a camera that are so large that the rig is SUSPECT."""
-    causes = (
+    remedy = (
         "The following notes name the causes."
         if has_causes
-        else "The residuals do not show a single cause."
+        else "The residuals do not show a single cause: check the images with the largest ones."
     )
-    return f'The residuals of "{camera}" are {factor:.1f} times their sigmas. {causes}'
+    return f'The residuals of "{camera}" are {factor:.1f} times their sigmas. {remedy}'
 
 
 def shots_differ(factor: float, has_causes: bool) -> str:
@@ -576,7 +578,10 @@ def shots_differ(factor: float, has_causes: bool) -> str:
     )
     if has_causes:
         return sentence
-    return f"{sentence} The residuals do not show a single cause."
+    return (
+        f"{sentence} The residuals do not show a single cause: check the shots with the largest "
+        "residuals."
+    )
 
 
 def cause_of_misfit(cause: MisfitCause, cameras: Sequence[str], shots: Sequence[str]) -> str:

@@ -49,4 +49,7 @@ def moved(length_px: float, angle_deg: float) -> str:
 
 def correlated_noise(inflation: float) -> str:
     """Neighbouring pixels have correlated noise. inflation : variance of a mean over white's."""
-    return f"correlated noise of neighbouring pixels ({inflation:.1f} times the variance)"
+    return (
+        f"correlated noise of neighbouring pixels (the variance of a mean is {inflation:.1f} times "
+        "that of white noise)"
+    )
