@@ -230,7 +230,7 @@ def test_a_wider_model_is_taken_where_it_explains_the_corners_as_well(
         assert result.remarks == ()
     else:
         (sentence,) = result.remarks
-        assert f"so the lens model is {chosen.model}" in sentence
+        assert f"The lens model {chosen.model} was used therefore" in sentence
 
 
 def test_a_wider_model_that_the_shots_do_not_determine_is_not_taken(monkeypatch):

@@ -126,7 +126,7 @@ def test_points_that_ask_for_a_lens_that_is_held_are_suspect_and_say_for_what() 
     points = block(random)
     bent = see(camera_of(TABLE_1["left"], DISTORTED_LENS), points, random)
     skewed = see(camera_of(TABLE_1["left"], SKEWED), points, random)
-    for uv_px, cause in ((bent, "free k1"), (skewed, "free skew_px")):
+    for uv_px, cause in ((bent, "Add k1 to `free`"), (skewed, "Add skew_px to `free`")):
         held = calibrate_points(points, uv_px, image_size_px=SIZE_PX, free=AFFINE_PARAMETERS)
         posed = calibrate_points(points, uv_px, LENS, systematics=Systematics())
         usual = calibrate_points(points, uv_px, LENS)

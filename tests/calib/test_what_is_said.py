@@ -206,7 +206,7 @@ def test_an_error_of_a_lens_that_goes_unseen_moves_a_camera_as_is_said():
 
     right = fitted(KNOWN)
     (note,) = right.notes
-    said = r'"(\w+)" is assumed.* cx_px off by (\S+), cy_px off by (\S+), which .* to (\d+) of its'
+    said = r'"(\w+)" is assumed.* cx_px by (\S+) and cy_px by (\S+)\. This .* by (\d+) of its'
     match = re.search(said, note)
     assert match is not None
     wrong = np.array(LENSES[match[1]])

@@ -167,11 +167,11 @@ REFUSED = {
     "a picture": (("export", "other.png", "--to", "csv", "-o", "x.csv"), "is no value"),
     "matches as cameras": (
         ("export", "matches.npz", "--to", "kalibr", "-o", "x.yaml"),
-        "holds a rig, not matches",
+        "can contain a rig, not matches",
     ),
     "a lens as a rig": (
         ("export", "camera.json", "--to", "colmap", "-o", "x"),
-        "holds a rig, not a lens",
+        "can contain a rig, not a lens",
     ),
     "no folder": (("export", "rig.json", "--to", "colmap", "-o", "a/b"), "does not exist"),
     "no file to read": (("export", "no.yml", "--from", "opencv", "-o", "x.json"), "not exist"),

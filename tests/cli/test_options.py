@@ -171,13 +171,13 @@ def test_a_sheet_is_proposed_for_a_camera_and_a_distance(tmp_path, capsys):
         (("chess",), "no kind of board: give sheet"),
         (("charuco", "marker=3"), "write marker_mm=VALUE"),
         (("charuco", "square_mm"), "as NAME=VALUE"),
-        (("chessboard", "pitch_mm=3"), 'no setting "pitch_mm": it has square_mm'),
+        (("chessboard", "pitch_mm=3"), 'no setting "pitch_mm": the settings are square_mm'),
         (("chessboard", "rows=6"), "write --rows=6"),
         (("sheet", "pitch_mm=wide"), "is no number"),
         (("sheet", "line_style=red"), "give stop, through or white"),
         (("aprilgrid", "first=1.5"), "no whole number"),
         (("layout.json", "--rows", "3"), "leave out --rows"),
-        (("layout.json", "tag_mm=3"), "leave out tag_mm=3"),
+        (("layout.json", "tag_mm=3"), "omit tag_mm=3"),
     ],
 )
 def test_a_kind_says_what_it_has(words, says, tmp_path, capsys):

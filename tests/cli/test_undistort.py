@@ -145,7 +145,9 @@ def test_sigmas_that_do_not_hold_are_left_out_and_said(folder, capsys):
     trinoc.save(bent_rig("left.fx_px"), "open.json")
     words = ["undistort", *PICTURES[:2], "--rig", "open.json", "--quiet", "-o", "out"]
     assert main(words) == 0
-    assert "The new rig has no sigmas: errors of the lenses" in capsys.readouterr().out
+    assert (
+        "The new rig has no sigmas: open.json has errors of the lenses" in capsys.readouterr().out
+    )
     assert trinoc.load_rig("out/rig.json").parameters == ()
     (note,) = json.loads(Path("out/rig.json").read_text())["provenance"]["notes"]
     assert "no sigmas" in note

@@ -44,7 +44,7 @@ def watch(folder: Path, *options: str) -> tuple[str, ...]:
 def test_a_set_of_boards_is_not_watched(folder, capsys) -> None:
     save_target(BoardSet([BOARD]), folder / "board.json")
     assert main(watch(folder, "--once", "--quiet")) == 2
-    assert "holds several boards" in capsys.readouterr().err
+    assert "contains several boards" in capsys.readouterr().err
 
 
 def test_pictures_that_are_there_are_judged_once(folder, capsys) -> None:

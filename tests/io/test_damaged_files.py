@@ -288,7 +288,7 @@ def test_tables_of_any_text(folder, text):
         ("1,5;2,5;3,5;4,5\n", "line 1, has numbers with a decimal comma"),
         ("1,5 2,5 3 4,5\n", "line 1, has numbers with a decimal comma"),
         ("x1,y1,x2,y2\n1,2,3,4\n5,6,seven,8\n", "line 3, is not a table of numbers"),
-        ("-1e9,5,1e9,5\n", "beyond all pictures"),
+        ("-1e9,5,1e9,5\n", "outside any picture"),
     ],
 )
 def test_words_and_decimal_commas_are_named(folder, text, said):

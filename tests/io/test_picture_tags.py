@@ -106,7 +106,7 @@ def test_one_warning_for_a_folder_names_its_first_picture(tmp_path, caplog):
     with caplog.at_level(logging.WARNING, logger="trinoc"):
         for file in sorted(tmp_path.rglob("*.jpg")):
             read_image(file)
-    first = [record.getMessage().partition(" asks ")[0] for record in caplog.records]
+    first = [record.getMessage().partition(" has a tag ")[0] for record in caplog.records]
     assert first == [str(tmp_path / folder / "1.jpg") for folder in ("left", "right")]
 
 
