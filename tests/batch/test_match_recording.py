@@ -263,7 +263,7 @@ def test_a_defect_in_one_frame_is_that_frame_s_alone(recording, tmp_path, monkey
 def test_results_of_something_else_are_not_mixed(recording, tmp_path, quick, changed, said):
     match(recording, tmp_path / "out")
     before = contents(tmp_path / "out")
-    with pytest.raises(InputError, match=f'differ in "{said}"'):
+    with pytest.raises(InputError, match=f'a run with another "{said}"'):
         match(recording, tmp_path / "out", **changed)
     assert contents(tmp_path / "out") == before
 
@@ -282,7 +282,7 @@ def test_a_second_program_on_the_same_job_is_refused(recording, tmp_path, quick,
     pytest.importorskip("fcntl")
 
     def second(*_):
-        with pytest.raises(InputError, match="Another trinoc batch is writing"):
+        with pytest.raises(InputError, match="Another `trinoc batch` is writing"):
             match(recording, tmp_path / "out")
 
     match(recording, tmp_path / "out", on_progress=second)
@@ -436,13 +436,13 @@ def test_the_command_matches_as_the_library_does(recording, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--shard", "3/2"], "--shard 3/2 is no job"),
-        (["--shard", "x"], "--shard x is no job"),
+        (["--shard", "3/2"], "--shard is 3/2"),
+        (["--shard", "x"], "--shard is x"),
         (["--workers", "0"], "--workers is 0"),
         (["--workers", "four"], "give a number of processes"),
         (["--find", "arcs=perhaps"], "neither yes nor no"),
         (["--memory-gb", "-1"], "--memory-gb is -1"),
-        (["--depth-range-mm", "5", "1"], "holds no depth"),
+        (["--depth-range-mm", "5", "1"], "contains no depth"),
     ],
 )
 def test_mistaken_options_are_usage_errors(recording, tmp_path, capsys, options, said):

@@ -209,7 +209,7 @@ def test_boards_that_nothing_connects_are_named():
 
 def test_a_set_is_fitted_by_its_points_alone():
     picture = np.full((480, 640), 128, np.uint8)
-    with pytest.raises(InputError, match="holds several boards"):
+    with pytest.raises(InputError, match="contains several boards"):
         calibrate_rig({"left": [picture]}, set_of(("front", "side")), method="pixels")
 
 

@@ -148,7 +148,7 @@ def test_cameras_that_nothing_connects_are_named_in_groups():
 def test_cameras_out_of_step_by_one_are_told_so():
     seen = shots(cameras=("left", "right"))
     seen["right"] = [None, *seen["right"][:-1]]
-    with pytest.raises(CalibrationError, match="1 shot earlier: the cameras are out of step"):
+    with pytest.raises(CalibrationError, match="1 shot earlier, so the shots of the two"):
         calibrate_rig(seen, BOARD)
 
 
@@ -160,7 +160,7 @@ def test_a_camera_that_sees_nothing_is_named():
 
 
 def test_shots_that_determine_nothing_are_told_why():
-    with pytest.raises(CalibrationError, match="there is one shot"):
+    with pytest.raises(CalibrationError, match="one image of a plane determines only"):
         calibrate_rig(shots(count=1), BOARD)
 
 

@@ -48,7 +48,7 @@ def one_row():
 CASES = {
     "sheet edge-on": (
         edge_on,
-        "was found in the image; check that it is flat, uncovered, in focus",
+        "was found in the image; check that the sheet is flat, uncovered, in focus",
     ),
     "a lens that folds": (
         folded,

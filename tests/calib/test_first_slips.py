@@ -15,8 +15,8 @@ SHEET = Pattern.circle_grid(rows=3, columns=4, pitch_mm=10.0, radius_mm=2.0)
     ("images", "pattern", "says"),
     [
         ({"left": None}, SHEET, 'camera "left" is None'),
-        ({"left": "left.png"}, SHEET, "is a str instead of an array"),
-        ({"left": PICTURE[0]}, SHEET, "instead of an array of height and width"),
+        ({"left": "left.png"}, SHEET, "is a str, but must be an array"),
+        ({"left": PICTURE[0]}, SHEET, "must be an array with height and width"),
         ([PICTURE], SHEET, "of type list. Give a dictionary"),
         ({"left": PICTURE}, "sheet.json", "of type str. Give a trinoc.Pattern"),
     ],

@@ -66,7 +66,7 @@ def test_a_lens_that_folds_beyond_everything_observed_is_noted_and_before_it_ref
     failure, (note,) = assess_folds({"left": folds}, {"left": observed})
     assert failure is None
     assert note.startswith('The distortion of "left" folds the image 308 px from the principal')
-    assert "Show the board nearer to the corners" in note
+    assert "show the board nearer to the image corners" in note
     beyond = np.concatenate([observed, [[319.5 + 309.0, 239.5]]])
     failure, notes = assess_folds({"left": folds}, {"left": beyond})
     assert str(failure).startswith('The fitted distortion of "left" folds the image 308 px')
@@ -118,8 +118,8 @@ def test_a_coefficient_that_folds_the_image_is_fixed_where_the_residuals_allow_i
     result = calibrate_intrinsics(given, BOARD, lens_model="kannala_brandt")
     assert result.has_rig
     assert describe_fold(result.lens) is None
-    (note,) = [note for note in result.notes if "so k3 is fixed at 0" in note]
-    assert f"The rms residual is now {result.rms_px():.3f} px; it was" in note
+    (note,) = [note for note in result.notes if "k3 was fixed at 0" in note]
+    assert f"to {result.rms_px():.3f} px. Show" in note
     assert {"k3", "k4"}.isdisjoint(fitted_names(result))
     assert result.sigma("k3") == 0.0
 
@@ -178,7 +178,7 @@ def test_a_strong_distortion_has_a_wider_model_unless_one_is_named():
     lens = result.rig["left"].intrinsics
     assert lens.distortion_model in ("rational", "kannala_brandt")
     assert describe_fold(lens) is None
-    (note,) = [note for note in result.notes if "so the lens model is" in note]
+    (note,) = [note for note in result.notes if "was used therefore" in note]
     assert note.startswith('The brown_conrady distortion of "left" folds the image')
     assert abs(result.value("left.fx_px") - 450.0) < 3 * result.sigma("left.fx_px")
     named = calibrate_rig({"left": given}, BOARD, lens_model="brown_conrady")
@@ -189,7 +189,7 @@ def test_a_strong_distortion_has_a_wider_model_unless_one_is_named():
     alone = calibrate_intrinsics(given, BOARD)
     assert alone.has_rig
     assert alone.lens.distortion_model == lens.distortion_model
-    assert any("so the lens model is" in note for note in alone.notes)
+    assert any("was used therefore" in note for note in alone.notes)
 
 
 def holder(fit: RobustFit) -> ShotsFit:
@@ -230,7 +230,7 @@ def test_a_wider_model_is_taken_where_it_explains_the_corners_as_well(
         assert result.remarks == ()
     else:
         (sentence,) = result.remarks
-        assert f"so the lens model is {chosen.model}" in sentence
+        assert f"The lens model {chosen.model} was used therefore" in sentence
 
 
 def test_a_wider_model_that_the_shots_do_not_determine_is_not_taken(monkeypatch):

@@ -72,7 +72,7 @@ def test_a_skew_that_points_ask_for_is_fitted_and_its_covariance_is_true() -> No
         found = calibrate_points(points, see(camera, points, random), image_size_px=SIZE_PX)
         assert found.overall_status is Status.CONVERGED
         assert found.lens_parameters == (*AFFINE_PARAMETERS, "skew_px")
-        assert "no sensor has" in found.notes[0]
+        assert "sensors have no skew" in found.notes[0]
         off = float(found.camera.intrinsics.skew_px) - float(SKEWED.skew_px)
         assert abs(off) < 4.5 * found.sigma("skew_px")
         squared.append(squared_error_of_centre(found, camera))
@@ -126,7 +126,7 @@ def test_points_that_ask_for_a_lens_that_is_held_are_suspect_and_say_for_what() 
     points = block(random)
     bent = see(camera_of(TABLE_1["left"], DISTORTED_LENS), points, random)
     skewed = see(camera_of(TABLE_1["left"], SKEWED), points, random)
-    for uv_px, cause in ((bent, "free k1"), (skewed, "free skew_px")):
+    for uv_px, cause in ((bent, "Add k1 to `free`"), (skewed, "Add skew_px to `free`")):
         held = calibrate_points(points, uv_px, image_size_px=SIZE_PX, free=AFFINE_PARAMETERS)
         posed = calibrate_points(points, uv_px, LENS, systematics=Systematics())
         usual = calibrate_points(points, uv_px, LENS)

@@ -146,7 +146,7 @@ def test_how_tags_are_turned_is_read_off_a_picture(quarters):
     [
         ("grey", BOARD, 'must be "points" or "pixels"'),
         ("pixels", BOARD, "is a detection without grey levels"),
-        ("pixels", BoardSet([BOARD, SHEET]), "holds several boards"),
+        ("pixels", BoardSet([BOARD, SHEET]), "contains several boards"),
     ],
 )
 def test_what_cannot_be_fitted_to_pixels_is_said(method, target, says):

@@ -108,5 +108,5 @@ def test_a_board_that_moves_along_its_own_edges_is_blurred(
 def test_a_picture_without_an_edge_says_so() -> None:
     blank = np.full((480, 512), 128, np.uint8)
     assert [fault.split(":")[0] for fault in measure_quality("a", blank, SHEET).faults] == [
-        "hardly anything has an edge"
+        "the picture has almost no edges"
     ]

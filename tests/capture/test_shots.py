@@ -65,7 +65,7 @@ def test_the_camera_that_lacks_most_comes_next() -> None:
     apart = [shot(left=seen), shot(right=seen), shot(upper=seen)]
     assert "sees it together with right" in advise_cameras(apart, CAMERAS).sentence
     assert "Again, left: edges are 4.0" in advise_cameras([shot(left=SOFT)], CAMERAS).sentence
-    assert "of left: No sheet was found." in advise_cameras([shot()], CAMERAS).sentence
+    assert "Reason for left: No sheet was found." in advise_cameras([shot()], CAMERAS).sentence
 
 
 def test_a_shot_is_one_line() -> None:

@@ -72,7 +72,7 @@ def test_a_rig_whose_lens_is_refuted_is_written_and_counts_as_failed(tmp_path, m
     monkeypatch.setattr("trinoc.calibrate_rig", lambda *_, **__: refuted)
     monkeypatch.setattr("trinoc.next_shot", lambda _: None)
     assert main(["calibrate-rig", "left=pictures", "--board", "board.json", "--quiet"]) == 1
-    assert "SUSPECT, and rig.json says so: Another lens." in capsys.readouterr().err
+    assert "SUSPECT, which is stated in rig.json: Another lens." in capsys.readouterr().err
     cameras = load_rig_status("rig.json").cameras
     assert {each.status for each in cameras.values()} == {"suspect"}
 
@@ -88,7 +88,9 @@ def test_boards_that_look_alike_are_told_apart_by_their_first_marker(tmp_path, m
     both = ["calibrate-rig", "left=pictures", "--quiet", "--board", "front.json", "--board"]
     assert main([*both, "back.json"]) == 1
     said = capsys.readouterr().err
-    assert 'The boards "front" and "back" look alike in view: both have the marker 19 of' in said
+    assert (
+        'The boards "front" and "back" look alike in an image: both have the marker 19 of' in said
+    )
     assert main([*both, "side.json"]) == 1
     assert "None of the boards front, side was found" in capsys.readouterr().err
 
@@ -101,7 +103,7 @@ def test_a_set_from_pixels_is_refused(tmp_path, monkeypatch, capsys):
     cv2.imwrite("pictures/1.png", np.full((60, 80), 100, np.uint8))
     options = ["--method", "pixels", "--board", "charuco.json", "--board", "chessboard.json"]
     assert main(["calibrate-rig", "left=pictures", *options]) == 1
-    assert 'give method="points".' in capsys.readouterr().err
+    assert 'use method="points".' in capsys.readouterr().err
     assert not (tmp_path / "rig.json").exists()
 
 

@@ -49,7 +49,7 @@ def test_an_unexpected_exception_is_one_sentence_and_a_file(flags, tmp_path) -> 
     done = run(_SINGULAR, tmp_path, *flags)
     (written,) = tmp_path.glob("trinoc-error-*.txt")
     sentence = (
-        "trinoc stopped at an error of its own: LinAlgError: Singular matrix. The details are in "
+        "trinoc stopped at an internal error: LinAlgError: Singular matrix. The details are in "
         f"{written.name}. Attach it to a report of this error."
     )
     assert done.returncode == 1

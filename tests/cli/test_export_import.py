@@ -97,8 +97,8 @@ def test_a_lens_that_folds_in_the_corners_is_warned_of_where_it_is_read(run):
     assert status == 0
     assert warned == (
         "trinoc: folds.yml: The distortion of the lens folds the image 686 px from the "
-        "principal point, while the farthest corner is 734 px away: lines and points beyond the "
-        "fold, in 1.4 % of the image, are not used.\n"
+        "principal point (two rays have one pixel there, and the farthest corner is 734 px away); "
+        "lines and points beyond this radius, in 1.4 % of the image, are not used.\n"
     )
     np.savetxt("ends.csv", [[1.0, 2, 3, 4]], delimiter=",")
     files = [f"{name}=ends.csv" for name in rig]
@@ -167,11 +167,11 @@ REFUSED = {
     "a picture": (("export", "other.png", "--to", "csv", "-o", "x.csv"), "is no value"),
     "matches as cameras": (
         ("export", "matches.npz", "--to", "kalibr", "-o", "x.yaml"),
-        "holds a rig, not matches",
+        "can contain a rig, not matches",
     ),
     "a lens as a rig": (
         ("export", "camera.json", "--to", "colmap", "-o", "x"),
-        "holds a rig, not a lens",
+        "can contain a rig, not a lens",
     ),
     "no folder": (("export", "rig.json", "--to", "colmap", "-o", "a/b"), "does not exist"),
     "no file to read": (("export", "no.yml", "--from", "opencv", "-o", "x.json"), "not exist"),

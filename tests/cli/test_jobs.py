@@ -249,7 +249,10 @@ def test_a_camera_that_fails_leaves_the_others_and_a_picture_of_why(run, folder)
     status, out, err = run(*command)
     assert (status, out, err.count("\n")) == (1, "", 1)
     assert 'Camera "upper/a": No sheet of the pattern' in err
-    assert "part-incomplete.json holds the others (left); part.json was not written" in err
+    assert (
+        "part-incomplete.json contains the calibrated cameras (left); part.json was not written"
+        in err
+    )
     assert not (folder / "part.json").exists()
     assert trinoc.load_rig(folder / "part-incomplete.json").names == ("left",)
     assert trinoc.io.read_image(folder / "part-upper%2Fa-failed.png").ndim == 3
@@ -261,7 +264,7 @@ def test_scene_that_hardly_matches_says_what_to_check(run, shuffled):
     status, out, _ = run("match", *files, "--rig", "rig.json", "-o", "none.npz")
     assert status == 0
     assert "Use these matches with care. 0 sure lines in three views" in out
-    assert "check that this rig took these images" in out
+    assert "Check that this rig took these images" in out
 
 
 @pytest.mark.parametrize("paper", ["a4", "letter"])

@@ -30,7 +30,7 @@ LENS = ["--lens-mm", "16"]
         ([*LENS, ".01", ".01", "--sigma", "print_scale=-1,0"], "no standard deviation"),
         ([*LENS, ".01", "inf"], "--lens-mm is inf"),
         ([*LENS, ".01", ".01", "--sigma", "flatness=1"], "write flatness_mm=VALUE"),
-        ([*LENS, ".01", ".01", "--sigma", "b=none.png"], "files stand before the options"),
+        ([*LENS, ".01", ".01", "--sigma", "b=none.png"], "write files before the options"),
         (["--lens-mm", "0.016", ".01", ".01"], "looks like metres: write 16 millimetres"),
     ],
 )

@@ -94,10 +94,10 @@ def test_bars_that_measure_what_they_should_are_measured_all_the_same(run):
     """What counts most is advised, and what was measured no more."""
     points = calibrate("--method", "points", "--sigma", "lens=0", "-o", "bars.json", "--json")
     assumed = json.loads(run(*points)[1])
-    assert "measure the sheet's two bars (--print-scale)" in assumed["advice"]
+    assert "measure the two bars of the sheet (--print-scale)" in assumed["advice"]
     measured = json.loads(run(*points, "--print-scale", "1", "1", "--force")[1])
     assert "bars" not in measured["advice"]
-    assert "The sigmas assume an exact lens" in measured["advice"]
+    assert "The sigmas assume that the lens is exact" in measured["advice"]
     sigmas = [each["cameras"]["upper"]["parameters"]["distance_mm"] for each in (assumed, measured)]
     assert sigmas[1]["sigma"] < 0.3 * sigmas[0]["sigma"]
 

@@ -92,7 +92,7 @@ def test_a_data_sheet_is_not_exact(tmp_path):
 
 
 def test_lens_that_is_not_determined_is_wrong_usage():
-    with pytest.raises(UsageError, match="lens is not determined"):
+    with pytest.raises(UsageError, match="The lens is missing"):
         LensOptions().lenses(SIZES)
     with pytest.raises(UsageError, match="Both --lens and --lens-mm are given: give one"):
         LensOptions(lens=("a.json",), lens_mm=(16.0, 0.01, 0.01)).lenses(SIZES)
@@ -171,13 +171,13 @@ def test_a_sheet_is_proposed_for_a_camera_and_a_distance(tmp_path, capsys):
         (("chess",), "no kind of board: give sheet"),
         (("charuco", "marker=3"), "write marker_mm=VALUE"),
         (("charuco", "square_mm"), "as NAME=VALUE"),
-        (("chessboard", "pitch_mm=3"), 'no setting "pitch_mm": it has square_mm'),
+        (("chessboard", "pitch_mm=3"), 'no setting "pitch_mm": the settings are square_mm'),
         (("chessboard", "rows=6"), "write --rows=6"),
         (("sheet", "pitch_mm=wide"), "is no number"),
         (("sheet", "line_style=red"), "give stop, through or white"),
         (("aprilgrid", "first=1.5"), "no whole number"),
         (("layout.json", "--rows", "3"), "leave out --rows"),
-        (("layout.json", "tag_mm=3"), "leave out tag_mm=3"),
+        (("layout.json", "tag_mm=3"), "omit tag_mm=3"),
     ],
 )
 def test_a_kind_says_what_it_has(words, says, tmp_path, capsys):
@@ -207,7 +207,7 @@ def test_a_screen_as_target_gets_a_picture_and_a_layout(tmp_path, capsys):
         (("-o", "sheet.png"), 2, "--screen size_px=1920,1080"),
         (("-o", "sheet.png", "--screen", "size_px=1920,-1080", "diagonal_inch=24"), 2, "width"),
         (("-o", "sheet.png", *SCREEN[:-1]), 2, "diagonal_inch=INCH"),
-        (("-o", "sheet.png", *SCREEN, "pitch_mm=0.27"), 2, "one of two"),
+        (("-o", "sheet.png", *SCREEN, "pitch_mm=0.27"), 2, "exactly one setting"),
         (("-o", "sheet.png", *SCREEN[:-1], "diagonal_inch=610"), 2, "inches"),
         (("-o", "sheet.png", "--screen", "size_px=4,3", "diagonal_inch=24"), 2, "millimetres"),
         (("-o", "sheet.png", *SCREEN[:-1], "diagonal_inch=9"), 1, "the screen is 199 x 112 mm"),
@@ -259,7 +259,7 @@ def test_settings_are_read_by_their_parsers():
         (["c=1,2,3"], "more than two"),
         (["c=1.5"], "no whole number"),
         (["a_m=1"], "write a_mm=VALUE"),
-        (["upper=u.png"], "it has a_mm, b, c; files stand before the options"),
+        (["upper=u.png"], "the settings are a_mm, b, c; write files before the options"),
     ):
         with pytest.raises(UsageError, match=why):
             read_settings("--x", [words], parsers)

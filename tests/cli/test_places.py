@@ -40,14 +40,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ((*MATCH, "-o", "left.npz"), "--out is left.npz, which is read"),
-        ((*MATCH, "--report", "./rig.json"), "--report is rig.json, which is read"),
+        ((*MATCH, "-o", "left.npz"), "--out is left.npz, which is an input"),
+        ((*MATCH, "--report", "./rig.json"), "--report is rig.json, which is an input"),
         ((*MATCH, "-o", "x.npz", "--report", "x.npz"), "are both x.npz"),
-        ((*CALIBRATE, "-o", "sheet.json"), "--out is sheet.json, which is read"),
+        ((*CALIBRATE, "-o", "sheet.json"), "--out is sheet.json, which is an input"),
         ((*CALIBRATE, "-o", "r.json", "--report", "r.json"), "are both r.json"),
-        (("refine", "--matches", "left.npz", "--rig", "rig.json", "-o", "left.npz"), "is read"),
-        (("export", "left.npz", "--to", "lsd", "-o", "left.npz"), "which is read"),
-        (("segments", "left.png", "-o", "left.png"), "which is read"),
+        (("refine", "--matches", "left.npz", "--rig", "rig.json", "-o", "left.npz"), "is an input"),
+        (("export", "left.npz", "--to", "lsd", "-o", "left.npz"), "which is an input"),
+        (("segments", "left.png", "-o", "left.png"), "which is an input"),
         ((*MATCH, "-o", "x.npz", "--report", "x.pdf"), "a report is HTML"),
     ],
 )
@@ -69,7 +69,7 @@ def test_a_rig_may_take_the_place_of_the_one_it_was_made_from() -> None:
 def test_a_link_to_what_is_read_is_what_is_read(folder, capsys):
     Path("other.npz").symlink_to("left.npz")
     assert main([*MATCH, "-o", "other.npz", "--quiet"]) == 2
-    assert "which is read" in capsys.readouterr().err
+    assert "which is an input" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_depths_that_leave_nothing_are_named():
     matches = bench_matches()
     words = {view: np.full(len(w), "outside depth") for view, w in matches.reasons.items()}
     none = dataclasses.replace(matches, stage=np.full(len(matches), "binocular"), reasons=words)
-    assert "check depth_range_mm" in assess_matches(none).sentence
+    assert "Check depth_range_mm" in assess_matches(none).sentence
 
 
 def test_a_file_of_another_kind_is_not_replaced_unless_forced(folder, capsys):
@@ -123,10 +123,12 @@ def test_a_file_of_another_kind_is_not_replaced_unless_forced(folder, capsys):
     before = {path: path.read_bytes() for path in folder.iterdir()}
     for place in ("rig.json", "link.json", "mine.json"):
         assert main(["pattern", "-o", place]) == 1
-        assert "which would be lost: give another name, or --force" in capsys.readouterr().err
+        assert (
+            "which would be overwritten: give another name, or --force" in capsys.readouterr().err
+        )
     for place in ("mine.npz",):
         assert main([*MATCH, "-o", place]) == 1
-        assert "which would be lost" in capsys.readouterr().err
+        assert "which would be overwritten" in capsys.readouterr().err
     evaluate = ("evaluate", "--matches", "upper.npz", "--truth", "sheet.json")
     for words in (
         (*MATCH, "-o", "new.npz", "--report", "mine.html"),
@@ -135,7 +137,7 @@ def test_a_file_of_another_kind_is_not_replaced_unless_forced(folder, capsys):
         ("pattern", "-o", "right.png", "--screen", "size_px=400,300", "pitch_mm=0.3"),
     ):
         assert main([*words]) == 1, words
-        assert "which would be lost" in capsys.readouterr().err
+        assert "which would be overwritten" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
     assert main(["pattern", "-o", "sheet.json"]) == 0
     assert main(["pattern", "-o", "mine.json", "--force"]) == 0

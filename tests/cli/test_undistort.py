@@ -145,7 +145,9 @@ def test_sigmas_that_do_not_hold_are_left_out_and_said(folder, capsys):
     trinoc.save(bent_rig("left.fx_px"), "open.json")
     words = ["undistort", *PICTURES[:2], "--rig", "open.json", "--quiet", "-o", "out"]
     assert main(words) == 0
-    assert "The new rig has no sigmas: errors of the lenses" in capsys.readouterr().out
+    assert (
+        "The new rig has no sigmas: open.json has errors of the lenses" in capsys.readouterr().out
+    )
     assert trinoc.load_rig("out/rig.json").parameters == ()
     (note,) = json.loads(Path("out/rig.json").read_text())["provenance"]["notes"]
     assert "no sigmas" in note
@@ -182,17 +184,25 @@ def test_pictures_of_equal_names_get_those_of_their_cameras(folder):
         (("top=upper.png", *RIG), 1, 'no camera "top"'),
         (("upper=small.png", *RIG), 1, 'picture of "upper" is 60 x 40 px'),
         (("small.png", "--lens", "camera.json"), 1, "small.png is 60 x 40 px, but camera.json"),
-        (("left.png", "--lens", "camera.json", "--rectify"), 2, "--rectify is of a rig"),
+        (("left.png", "--lens", "camera.json", "--rectify"), 2, "--rectify needs a rig"),
         ((*PICTURES, *RIG, "--rectify"), 1, "Rectification needs two cameras"),
         (("left.png", "./left.png", "--lens", "camera.json"), 2, "would both become"),
         (("left.png", "none.png", "--lens", "camera.json"), 1, "none.png does not exist"),
         (("left.png", "notes.txt", "--lens", "camera.json"), 1, "not a readable picture"),
-        ((*PICTURES, *RIG, "-o", "."), 2, "is read, and would be lost"),
-        ((*PICTURES, *RIG, "-o", ".", "--force"), 2, "is read, and would be lost"),
-        (("left.png", "--lens", "camera.json", "-o", "."), 2, "is read, and would be lost"),
-        ((*PICTURES, *RIG, "-o", "notes.txt"), 2, "is no folder"),
-        ((*PICTURES, *RIG, "-o", "full"), 1, "full/left.png is there and would be lost"),
-        ((*PICTURES, *RIG, "-o", "other"), 1, "holds something else, which would be lost"),
+        ((*PICTURES, *RIG, "-o", "."), 2, "is an input and would be overwritten"),
+        ((*PICTURES, *RIG, "-o", ".", "--force"), 2, "is an input and would be overwritten"),
+        (
+            ("left.png", "--lens", "camera.json", "-o", "."),
+            2,
+            "is an input and would be overwritten",
+        ),
+        ((*PICTURES, *RIG, "-o", "notes.txt"), 2, "is not a folder"),
+        ((*PICTURES, *RIG, "-o", "full"), 1, "full/left.png exists and would be overwritten"),
+        (
+            (*PICTURES, *RIG, "-o", "other"),
+            1,
+            "contains something else, which would be overwritten",
+        ),
     ],
 )
 def test_what_cannot_be_is_one_sentence_and_writes_nothing(folder, words, status, says, capsys):

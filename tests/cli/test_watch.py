@@ -44,7 +44,7 @@ def watch(folder: Path, *options: str) -> tuple[str, ...]:
 def test_a_set_of_boards_is_not_watched(folder, capsys) -> None:
     save_target(BoardSet([BOARD]), folder / "board.json")
     assert main(watch(folder, "--once", "--quiet")) == 2
-    assert "holds several boards" in capsys.readouterr().err
+    assert "contains several boards" in capsys.readouterr().err
 
 
 def test_pictures_that_are_there_are_judged_once(folder, capsys) -> None:
@@ -145,10 +145,10 @@ def test_of_a_camera_pictures_that_show_something_new_are_kept(folder, capsys, m
     ("options", "said"),
     [
         (("watch", "in", "--every-s", "0"), "--every-s is 0"),
-        (("watch", "in", "--keep", "k"), "--keep goes with a camera"),
+        (("watch", "in", "--keep", "k"), "--keep is an option for cameras"),
         (("watch", "in", "--port", "65536"), "--port is 65536"),
         (("watch", "in", "--port", "-1"), "--port is -1"),
-        (("watch", "0", "--once"), "--once goes with a folder"),
+        (("watch", "0", "--once"), "--once is an option for folders"),
     ],
 )
 def test_options_that_do_not_go_together_are_named(options, said, capsys) -> None:

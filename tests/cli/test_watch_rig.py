@@ -184,10 +184,10 @@ def test_too_few_shots_are_kept_and_gone_on_with(folder, capsys, monkeypatch) ->
     assert len(list((folder / "rig_shots" / "right").iterdir())) == 2
     # The same again would mix what was kept with what may be of other cameras.
     assert watch(*TWO, "-o", "rig.json") == 2
-    assert "go on with them by --keep rig_shots" in capsys.readouterr().err
+    assert "continue that run with --keep rig_shots" in capsys.readouterr().err
     # What it says to type.
     MadeCameras(monkeypatch, range(1, 3))
-    again = shlex.split(err.partition("go on by: ")[2])
+    again = shlex.split(err.partition("To continue, run: ")[2])
     assert again[:2] == ["trinoc", "watch"]
     calibrated = []
 
@@ -202,7 +202,7 @@ def test_too_few_shots_are_kept_and_gone_on_with(folder, capsys, monkeypatch) ->
     assert "picture 1: nothing new" in out
     assert "picture 2: kept as shot_0003" in out
     assert calibrated == [{name: Path("rig_shots", name) for name in ("left", "right")}]
-    assert "Interrupted: The shots are kept in rig_shots; go on by: trinoc watch" in err
+    assert "Interrupted: The shots are kept in rig_shots. To continue, run: trinoc watch" in err
 
 
 def test_a_camera_that_is_pulled_out_does_not_lose_the_shots(folder, capsys, monkeypatch) -> None:
@@ -246,17 +246,17 @@ def test_files_of_folders_are_paired_by_their_names(folders, capsys) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("left=0", "right=left"), "do not go together"),
-        (("left=0", "right=0"), "one source"),
+        (("left=0", "right=left"), "cannot be combined"),
+        (("left=0", "right=0"), "the same source"),
         (("left", "right"), "write NAME=FILE"),
-        (("../x=left", "b=right", "--keep", "kept"), "no name of a folder"),
-        (("left=left", "--report", "r.html"), "say by -o where the rig goes"),
+        (("../x=left", "b=right", "--keep", "kept"), "not allowed as the name of a folder"),
+        (("left=left", "--report", "r.html"), "give the output file of the rig with -o"),
         (("left=left", "right=right", "--keep", "."), "a folder that is watched"),
         (("0", "-o", "rig.json", "--report", "r.html"), "such as camera=0"),
         (("left=board.json",), "no video that OpenCV reads"),
         (("left=board.json", "right=nowhere.avi"), "nowhere.avi does not exist"),
         (("left=nowhere",), "nowhere is not a folder"),
-        (("left=left", "-o", "board.json"), "which is read, and would be lost"),
+        (("left=left", "-o", "board.json"), "which is an input and would be overwritten"),
         (("left=left", "-o", "no/rig.json"), "does not exist: create it first"),
         ((), "No source is given"),
     ],

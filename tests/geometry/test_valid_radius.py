@@ -160,8 +160,9 @@ def test_a_fold_in_the_corners_leaves_a_usable_lens():
     assert describe_unusable_fold(TANGENTIAL) is None
     sentence = describe_usable_fold(TANGENTIAL)
     assert sentence == (
-        "folds the image 633 px from the principal point, while the farthest corner is 769 px "
-        "away: lines and points beyond the fold, in 7.6 % of the image, are not used"
+        "folds the image 633 px from the principal point (two rays have one pixel there, and the "
+        "farthest corner is 769 px away); lines and points beyond this radius, in 7.6 % of the "
+        "image, are not used"
     )
 
 

@@ -72,7 +72,7 @@ def test_a_spoilt_layout_is_refused_with_its_file(old, new, says, tmp_path):
 
 def test_a_board_in_place_of_a_sheet_is_sent_to_the_command_that_takes_it(tmp_path):
     save(BOARDS[0], tmp_path / "board.json")
-    with pytest.raises(InputError, match=r"no sheet of circles.*calibrate-rig"):
+    with pytest.raises(InputError, match=r"not a sheet of circles.*calibrate-rig"):
         trinoc.load_pattern(tmp_path / "board.json")
 
 

@@ -288,7 +288,7 @@ def test_tables_of_any_text(folder, text):
         ("1,5;2,5;3,5;4,5\n", "line 1, has numbers with a decimal comma"),
         ("1,5 2,5 3 4,5\n", "line 1, has numbers with a decimal comma"),
         ("x1,y1,x2,y2\n1,2,3,4\n5,6,seven,8\n", "line 3, is not a table of numbers"),
-        ("-1e9,5,1e9,5\n", "beyond all pictures"),
+        ("-1e9,5,1e9,5\n", "outside any picture"),
     ],
 )
 def test_words_and_decimal_commas_are_named(folder, text, said):
@@ -328,7 +328,7 @@ def test_a_picture_that_announces_more_than_it_holds_takes_no_memory(folder, at,
     file = folder / "short.png"
     file.write_bytes(whole[:at] + struct.pack(">I", announced) + whole[at + 4 :])
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with pytest.raises(InputError, match="announces more than it holds"):
+    with pytest.raises(InputError, match="is incomplete or states a wrong size"):
         read_image(file)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000
 
@@ -371,7 +371,7 @@ def test_cameras_that_cannot_be_are_refused(folder, documents, damage):
             lens["pixel_pitch_mm"] = [16.2, 13.4]
         case _:
             document["cameras"]["left"] = {k: v for k, v in upper.items() if k != "sigma"}
-            said = {damage: "stand at one place"}
+            said = {damage: "have the same position"}
     path = folder / "impossible.json"
     path.write_text(json.dumps(document))
     with pytest.raises(InputError, match=said.get(damage, "focal.length")):

@@ -349,7 +349,7 @@ def test_numbers_that_json_lacks_are_not_written(tmp_path: Path) -> None:
     for provenance in ({"sigma": float("nan")}, {"files": {Path("a")}}):
         with pytest.raises(InputError, match="was not written"):
             trinoc.save(bench_rig(), tmp_path / "rig.json", provenance=provenance)
-    with pytest.raises(InputError, match="covariance of the lens is none"):
+    with pytest.raises(InputError, match="covariance of the lens is not a covariance"):
         trinoc.io.intrinsics_json.save_intrinsics(
             LENS, tmp_path / "camera.json", covariance=-np.eye(9)
         )

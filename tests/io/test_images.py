@@ -39,7 +39,7 @@ def test_what_is_no_picture_is_refused(tmp_path, capfd):
     for name, content, said in [
         ("empty.png", b"", "is empty: copy"),
         ("text.png", b"hello", "is not a readable picture"),
-        ("cut.png", cut, "is a PNG that is cut off"),
+        ("cut.png", cut, "is a PNG file that is incomplete"),
         ("left.mp4", b"hello", "is a video: write its frames"),
     ]:
         (tmp_path / name).write_bytes(content)
@@ -58,7 +58,9 @@ def test_a_picture_that_was_not_written_to_its_end_is_refused(tmp_path, capfd, e
         path.write_bytes(whole[:length])
         assert not is_whole_picture(path)
         if length > 8:
-            with pytest.raises(InputError, match=r"not a readable picture|ends before its|cut off"):
+            with pytest.raises(
+                InputError, match=r"not a readable picture|is incomplete|that is incomplete"
+            ):
                 read_image(path)
     path.write_bytes(whole + b"what cameras add")
     assert is_whole_picture(path)

@@ -106,7 +106,7 @@ def test_one_warning_for_a_folder_names_its_first_picture(tmp_path, caplog):
     with caplog.at_level(logging.WARNING, logger="trinoc"):
         for file in sorted(tmp_path.rglob("*.jpg")):
             read_image(file)
-    first = [record.getMessage().partition(" asks ")[0] for record in caplog.records]
+    first = [record.getMessage().partition(" has a tag ")[0] for record in caplog.records]
     assert first == [str(tmp_path / folder / "1.jpg") for folder in ("left", "right")]
 
 
@@ -125,7 +125,9 @@ def test_a_picture_drawn_in_its_transparency_is_refused(tmp_path):
     black = np.zeros((5, 7, 4), dtype=np.uint8)
     black[..., 3] = GREY
     Image.fromarray(black).save(tmp_path / "a.png")
-    with pytest.raises(InputError, match=r"a\.png is drawn in its transparency alone.* on white"):
+    with pytest.raises(
+        InputError, match=r"a\.png has a drawing in its transparency only.* on white"
+    ):
         read_image(tmp_path / "a.png")
     black[..., 3] = 255
     Image.fromarray(black).save(tmp_path / "b.png")

@@ -101,8 +101,16 @@ MISTAKES = {
     "key unknown": (("colour",), "red", '"colour" is an unknown key: remove it'),
     "text for a number": ((*UPPER, "extrinsics", "pan_deg"), "2", "pan_deg.*finite number, but"),
     "true for a number": ((*UPPER, "extrinsics", "pan_deg"), True, "must be a finite number"),
-    "infinite": ((*UPPER, "extrinsics", "pan_deg"), float("inf"), "Infinity is no number"),
-    "not a number": ((*UPPER, "cam_from_world"), [[float("nan")] * 4] * 3, "NaN is no number"),
+    "infinite": (
+        (*UPPER, "extrinsics", "pan_deg"),
+        float("inf"),
+        "Infinity is not a finite number",
+    ),
+    "not a number": (
+        (*UPPER, "cam_from_world"),
+        [[float("nan")] * 4] * 3,
+        "NaN is not a finite number",
+    ),
     "too large a number": ((*UPPER, "extrinsics", "pan_deg"), 10**400, "must be a finite number"),
     "poses disagree": ((*UPPER, "extrinsics", "pan_deg"), 2.144, "describe different cameras"),
     "no rotation": ((*UPPER, "cam_from_world"), [[1, 0, 0, 0]] * 3, "with a rotation R"),
@@ -142,7 +150,7 @@ def test_files_that_are_no_json(tmp_path):
         (" ", "is empty: give another file"),
         ("{", r"is not JSON \(line 1, column 2"),
         ("[]", "has the format missing"),
-        ('{"format": "trinoc-rig", "format": "trinoc-rig"}', 'key "format" stands twice'),
+        ('{"format": "trinoc-rig", "format": "trinoc-rig"}', 'key "format" occurs twice'),
     ]:
         path.write_text(text)
         with pytest.raises(InputError, match=sentence):

@@ -99,14 +99,14 @@ def test_a_comment_names_columns_or_is_skipped(tmp_path, comment, order):
         ("a,b,c,d", "names the columns a, b, c, d, which do not give"),
         ("x1,y1,w,h", "names the columns x1, y1, w, h, which do not give"),
         ("rho,theta,id,score", "which do not give the ends of a segment"),
-        ("xm,ym,dx,dy", "dx, dy reach from end to end or from the middle to an end"),
-        ("xm,ym,length,angle", "does not say the unit of the angle: .* angle_deg or angle_rad"),
+        ("xm,ym,dx,dy", "dx, dy are measured from end to end or from the middle to an end"),
+        ("xm,ym,length,angle", "does not state the unit of the angle: .* angle_deg or angle_rad"),
         ("x1,y1,x2,y2,foo", 'names a column "foo" that trinoc does not know'),
         ("x1,y1,z1,x2,y2,z2", 'names a column "z1" that'),
         ("x1_mm,y1_mm,x2_mm,y2_mm", "which do not give the ends"),
-        ("x1,x1,y1,y2", 'has columns "x1" and "x1", which may mean one thing'),
+        ("x1,x1,y1,y2", 'has columns "x1" and "x1", which may be the same quantity'),
         ("x1,y1,x2,y2,start_x", 'has columns "x1" and "start_x"'),
-        ("x0,y0,x1,y1,x2,y2", "may mean one thing or two"),
+        ("x0,y0,x1,y1,x2,y2", "may be the same quantity"),
     ],
 )
 def test_a_heading_that_is_not_known_is_refused_with_those_that_are(tmp_path, heading, why):

@@ -173,7 +173,7 @@ def test_a_video_that_is_to_be_turned_gives_what_the_sensor_had(run):
     rewrite("right.mp4", turned)
     status, _, told = run("left.mp4", "right.mp4")
     assert status == 0
-    assert "right.mp4 asks to be turned by 90 degrees" in told
+    assert "right.mp4 has a tag to rotate it by 90 degrees" in told
     for number in range(COUNT):
         left, right = (read_image(f"frames/{n}/{number:06d}.png") for n in ("left", "right"))
         np.testing.assert_array_equal(left, right)
@@ -192,7 +192,7 @@ def test_of_a_damaged_tail_what_was_read_is_kept_and_said(run, read):
     status, said, told = run("left.avi", "right.avi", "--json")
     assert status == 0
     assert json.loads(said)["frames"] == read
-    assert f"right.avi announces 12 frames, of which {read} can be read" in told
+    assert f"right.avi states 12 frames, but only {read} can be read" in told
     assert numbers_there("left") == numbers_there("right") == {k: k for k in range(read)}
 
 
@@ -216,11 +216,15 @@ def refusals():
     yield "a folder", ("a=left.avi", "b=."), ". is a folder: give the video file"
     yield "a picture", ("left.avi", "one.png"), "one.png is a picture"
     yield "no names", ("left=left.avi", "right.avi"), "write NAME=FILE"
-    yield "twice", ("a=left.avi", "b=left.avi"), "Two cameras are given one video"
-    yield "no folder", ("../a=left.avi",), '"../a" is no name of a folder'
-    yield "hidden", (".a=left.avi",), '".a" is no name of a folder'
+    yield "twice", ("a=left.avi", "b=left.avi"), "Two cameras have the same video"
+    yield "no folder", ("../a=left.avi",), '"../a" is not allowed as the name of a folder'
+    yield "hidden", (".a=left.avi",), '".a" is not allowed as the name of a folder'
     yield "nothing", (), "No video is given"
-    yield "an option", ("left.avi", "--unit-mm", "3"), "--unit-mm, --names and --lens go with"
+    yield (
+        "an option",
+        ("left.avi", "--unit-mm", "3"),
+        "--unit-mm, --names and --lens are not options",
+    )
 
 
 @pytest.mark.parametrize(("words", "why"), [each[1:] for each in refusals()])
@@ -245,7 +249,7 @@ def test_no_file_is_written_among_others_or_over_the_video(run):
     Path("frames", "mine.txt").write_text("mine")
     status, said, told = run("a b.avi")
     assert (status, said) == (1, "")
-    assert "holds files: give a new or an empty folder" in told
+    assert "contains files: give a new or an empty folder" in told
     assert os.listdir("frames") == ["mine.txt"]
     Path("frames", "mine.txt").unlink()
     # An empty folder is as good as a new one, and names may have spaces.

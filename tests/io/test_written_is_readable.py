@@ -44,7 +44,7 @@ def test_a_lens_that_folds_is_not_written(tmp_path) -> None:
 
 def test_cameras_at_one_place_are_not_written(tmp_path) -> None:
     lens = Intrinsics(image_size_px=(640, 480), focal_length_px=800.0)
-    with pytest.raises(InputError, match=r"was not written: the cameras .* stand at one place"):
+    with pytest.raises(InputError, match=r"was not written: the cameras .* have the same position"):
         trinoc.save(rig_of(lens, pan_deg=(10.0, 10.0)), tmp_path / "rig.json")
     assert not list(tmp_path.iterdir())
 

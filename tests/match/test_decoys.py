@@ -68,7 +68,7 @@ def test_a_quick_check_refuses_a_set_without_the_mistake_and_none_refuses_nothin
     exchanged = boxes | {"upper": boxes["left"], "left": boxes["upper"]}
     quick = match_segments(exchanged, RIG, verify="quick")
     assert quick.status is MatchStatus.SUSPECT
-    assert "Most likely" not in quick.notes[0]
+    assert "Probably" not in quick.notes[0]
     unchecked = match_segments(exchanged, RIG, verify="off")
     assert unchecked.status is not MatchStatus.SUSPECT
     np.testing.assert_array_equal(unchecked.index, quick.index)
@@ -81,7 +81,7 @@ def test_of_many_sets_of_a_rig_the_mistake_is_looked_for_once(boxes):
     batch = match_many([boxes, exchanged, exchanged], RIG)
     checked = [matches for matches in batch.matches if matches is not None]
     assert [m.status for m in checked] == [MatchStatus.MATCHED] + 2 * [MatchStatus.SUSPECT]
-    named = ["Most likely" in m.notes[0] for m in checked[1:]]
+    named = ["Probably" in m.notes[0] for m in checked[1:]]
     assert named == [True, False]
 
 
@@ -131,7 +131,7 @@ def test_a_shift_shows_in_what_segments_miss_the_lines_of_the_other_views_by(vie
 def test_depths_that_leave_out_the_scene_are_named_and_not_the_rig(boxes):
     matches = match_segments(boxes, RIG, depth_range_mm=(0.3, 0.6))
     assert matches.status is MatchStatus.SUSPECT
-    assert "check depth_range_mm" in matches.notes[0]
+    assert "Check depth_range_mm" in matches.notes[0]
     assert depth_range_remedy(match_segments(boxes, RIG)) is None
 
 

@@ -119,7 +119,7 @@ ERRORS = {
     ),
     "one mirrored camera": (
         lambda: matched(mirrored(["upper"]), loose_lines(COUNT, 3)),
-        "is mirrored or looks the wrong way",
+        "is mirrored or looks away from the scene",
     ),
     "no centre": (
         lambda: Rig.from_matrices({"a": np.zeros((3, 4)), "b": np.ones((3, 4))}, (512, 480)),
@@ -140,12 +140,12 @@ def test_tracks_of_views_at_nearly_one_place_are_noted(apart_mm, noise_px):
     rig, lines = nearly_at_one_place(apart_mm), loose_lines(COUNT, 3)
     pair = {name: ends for name, ends in seen(rig, lines, noise_px).items() if name != "c"}
     for given in (pair, seen(rig, lines, noise_px)):
-        notes = [n for n in trinoc.match_segments(given, rig).notes if "gives no depth" in n]
+        notes = [n for n in trinoc.match_segments(given, rig).notes if "give no depth" in n]
         assert len(notes) == (apart_mm < 1.0)
         where = f'The cameras "a" and "b" are only {apart_mm:g} mm apart'
         assert all(note.startswith(where) for note in notes)
     others = {name: ends for name, ends in seen(rig, lines, noise_px).items() if name != "a"}
-    assert not any("gives no depth" in note for note in trinoc.match_segments(others, rig).notes)
+    assert not any("give no depth" in note for note in trinoc.match_segments(others, rig).notes)
 
 
 def mirrored(names):
@@ -168,7 +168,7 @@ def test_what_cannot_be_matched_is_named(case):
 
 def test_centres_in_a_line_are_noted_and_what_lies_along_it_is_left_out():
     across, lengthwise = matched(IN_LINE, loose_lines(COUNT, 3)), matched(IN_LINE, along([1, 0, 0]))
-    note = "The cameras' centres lie on one line"
+    note = "All camera centres lie on one line"
     for matches in (across, lengthwise):
         expect_sound(matches)
         assert any(note in said for said in matches.notes)

@@ -96,7 +96,7 @@ def test_a_file_of_something_else_is_not_overwritten(tmp_path) -> None:
     for value in (demo_pattern(), LENS):
         with pytest.raises(
             InputError,
-            match=r"rig\.json is there and holds a file of trinoc-rig.*"
+            match=r"rig\.json exists and contains a file of trinoc-rig.*"
             "overwrite=True",
         ):
             trinoc.save(value, place)
@@ -105,7 +105,7 @@ def test_a_file_of_something_else_is_not_overwritten(tmp_path) -> None:
     assert trinoc.load(place) == LENS
     table = tmp_path / "matches.npz"
     trinoc.save(bench_matches(), table)
-    with pytest.raises(InputError, match="holds a file of trinoc-matches"):
+    with pytest.raises(InputError, match="contains a file of trinoc-matches"):
         trinoc.save(trinoc.Segments.from_endpoints(ENDS), table)
     assert trinoc.load(table) == bench_matches()
 

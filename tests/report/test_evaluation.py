@@ -168,5 +168,5 @@ def test_the_text_has_the_shares_and_the_motion():
     parallel = np.array([[[0.0, y, 0.0], [50.0, y, 0.0]] for y in (0.0, 20.0, 40.0)])
     text = evaluation_text(evaluate(parallel + 0.5, parallel, aligned=True))
     assert "shifted by (0.000 \N{MINUS SIGN}0.500" in text.replace("-0.500", "\N{MINUS SIGN}0.500")
-    assert "leave a part of this motion free" in text
+    assert "do not determine a part of this motion" in text
     assert "-" in evaluation_text(evaluate(np.zeros((0, 2, 3)), EDGES))

@@ -81,7 +81,7 @@ def test_frames_that_are_suspect_are_counted_and_told(suspect, level):
     verdict = find_verdict(Subject(matches=with_tracks(3), recording=part))
     assert verdict is not None
     row = verdict.checks[0]
-    assert (row.level, row.figure) == (level, f"{10 - suspect} of 10 frames are well")
+    assert (row.level, row.figure) == (level, f"{10 - suspect} of 10 frames have no problem")
     assert [fate.problem for fate in part.to_look_at] == ["exchanged."] * suspect
     page = render_report(
         rig=table1_rig(), matches=frames[part.middle], recording=part, title="Recording"

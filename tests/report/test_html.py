@@ -332,7 +332,7 @@ def test_cameras_of_a_world_without_a_sheet_have_a_place_and_a_direction(rig: Ri
         }
     )
     text = Page(render_report(rig=office)).text
-    assert "not known" not in text.replace("Sigmas are not known", "")
+    assert "not known" not in text.replace("sigmas are unknown", "")
     for axis, values in zip("XYZ", centres.T, strict=True):
         row = " ".join(f"{value:.2f}".replace("-", "\N{MINUS SIGN}") for value in values)
         assert f"position {axis} (mm) {row}" in text

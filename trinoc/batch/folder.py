@@ -34,14 +34,14 @@ DESCRIPTION = "recording.json"
 
 
 class Folder:
-    """Results of one job in a folder.
+    """Folder with the results of one job.
 
     Attributes
     ----------
     done : dict
-        Manifest lines of each finished part, by its number.
+        Manifest lines of each finished part, by the number of the part.
     tally : Counter
-        Numbers of "frames", "failed", "suspect", "uncertain" and "tracks".
+        Numbers of "frames", "failed", "suspect", "uncertain" and "tracks" so far.
     """
 
     def __init__(self, path: Path, ending: str, manifest: Path, stream: Any) -> None:
@@ -54,7 +54,7 @@ class Folder:
         return self.path / f"matches-{number:06d}{self.ending}"
 
     def look(self, parts: Sequence[RecordingPart]) -> None:
-        """Determine which parts are done, and delete temporary files of an interrupted program."""
+        """Find the parts that are finished, and delete temporary files of an interrupted run."""
         files = {self.part_file(part.number).name: part for part in parts}
         # The manifest is locked, so no other program writes these files.
         for temporary in self.path.glob(".matches-*.tmp"):
@@ -74,12 +74,15 @@ class Folder:
                 (self.path / name).unlink()
 
     def commit(self, number: int, results: Sequence[FrameMatches], views: Sequence[str]) -> None:
-        """Write the file of a part, then its manifest lines. Raises InputError if writing fails."""
+        """Write the result file of a part, then its manifest lines.
+
+        Raises InputError if a file cannot be written.
+        """
         save_frames(results, views, self.part_file(number))
         self._append(number, results)
 
     def order(self) -> None:
-        """Sort the manifest by frame."""
+        """Sort the lines of the manifest by frame."""
         lines = (line for number in sorted(self.done) for line in self.done[number])
         write_text(self.manifest, manifest_text(lines))
 
@@ -102,9 +105,14 @@ class Folder:
 def open_results(
     path: Path, shard: tuple[int, int], description: Mapping[str, Any], ending: str
 ) -> Iterator[Folder]:
-    """Open the folder of one job: create it if necessary, and lock it against a second program.
+    """Context manager that opens the folder of one job, and locks it against a second program.
 
-    Raises InputError if it contains other results or is in use.
+    The folder is created if necessary. Raises InputError if it contains results of other inputs, or
+    if another program uses it.
+
+    shard : (i, n), job i of n.
+    description : inputs and options that the results depend on.
+    ending : file ending of the results.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -124,7 +132,10 @@ def open_results(
 
 
 def _describe(file: Path, description: Mapping[str, Any]) -> None:
-    """Write the description of the results, or compare it with the existing one."""
+    """Write the description of the results to a file, or compare it with the existing file.
+
+    Raises InputError if they differ.
+    """
     if not file.exists():
         write_text(file, json.dumps(description, indent=2, ensure_ascii=False) + "\n")
         return
@@ -133,8 +144,8 @@ def _describe(file: Path, description: Mapping[str, Any]) -> None:
     for key in {**description, **existing}:
         if existing.get(key) != description.get(key):
             raise InputError(
-                f'{file.parent} has results that differ in "{key}". Give the same recording, rig '
-                "and options to continue them, or choose another folder."
+                f'{file.parent} contains results of a run with another "{key}". To continue that '
+                "run, give the same recording, rig and options; otherwise choose another folder."
             )
 
 
@@ -147,8 +158,8 @@ def _lock(stream: Any, manifest: Path) -> None:
         fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         raise InputError(
-            f"Another trinoc batch is writing {manifest}. Wait for its end, or give each its own "
-            "shard."
+            f"Another `trinoc batch` is writing {manifest}. Wait until that run has ended, or give "
+            "each run its own shard (--shard)."
         ) from error
     except OSError:
         pass  # a file system without locks

@@ -22,7 +22,7 @@ from trinoc.recording.parts import RecordingPart, cut_into_parts, share_parts
 
 
 class BatchProgress(NamedTuple):
-    """Numbers of finished and failed frames, and of all frames of the job."""
+    """Progress of a job: numbers of finished frames, of failed frames, and of all its frames."""
 
     done: int
     failed: int
@@ -204,18 +204,24 @@ def _result(part: RecordingPart, future: Future[Any], where: str) -> list[FrameM
         raise
     except Exception as error:
         if type(error).__name__ == "KilledWorker":
-            reason = "The workers of this frame's part died. Check their logs for lack of memory."
+            reason = (
+                "The worker processes of this part of the recording died. Check their logs for "
+                "lack of memory."
+            )
             return [FrameMatches(frame.name, reason, None) for frame in part.frames]
         raise InputError(
-            f"The work at {where} ended early ({type(error).__name__}: {error}). Finished results "
-            "are kept; the same command continues from there."
+            f"The processing at {where} ended early ({type(error).__name__}: {error}). Finished "
+            "results are kept; run the same command again to continue."
         ) from error
 
 
 def _description(
     source: Source, work: MatchingJob, frames_per_file: int, ending: str
 ) -> dict[str, Any]:
-    """Inputs and options that the results depend on, by content hash."""
+    """Inputs and options that the results depend on, for comparison with an earlier run.
+
+    Input files are represented by a hash of their content.
+    """
     listed = "\n".join(f"{f.name}\t{c}\t{f.files[c]}" for f in source.frames for c in f.files)
     return {
         "format": "trinoc-recording",

@@ -15,10 +15,18 @@ SEGMENT_SUFFIXES = (".npz", ".npy", ".csv", ".txt")
 
 
 class Source(NamedTuple):
-    """Frames of a recording, and the folder that their files are relative to.
+    """Frames of a recording.
 
-    `views` are the cameras that each frame must have: those that have a file in any frame, if
-    these are three or more; otherwise all cameras of the rig.
+    Attributes
+    ----------
+    folder : Path
+        Folder that the files of the frames are relative to.
+    frames : sequence of Frame
+        The frames.
+    views : tuple of str
+        Cameras that each frame must have: those that have a file in any frame, if these are three
+        or
+        more; otherwise all cameras of the rig.
     """
 
     folder: Path
@@ -29,20 +37,28 @@ class Source(NamedTuple):
 def find_frames(
     location: str | os.PathLike[str], cameras: Sequence[str], template: str | None = None
 ) -> Source:
-    """Frames of a folder, by a template of file names, or of a CSV table.
+    """Find the frames of a folder or of a CSV table.
 
-    Without a template the usual ones are tried. Raises InputError if there are none.
+    Raises InputError if there is no frame.
+
+    location : the folder or table.
+    cameras : cameras of the rig.
+    template : template of the file names; None to try the usual ones.
     """
     expect_path(location)
     path = Path(location)
     if path.suffix.lower() == ".csv" and not path.is_dir():
         if template is not None:
-            raise InputError(f"{path} already lists the files. Omit the template.")
+            raise InputError(
+                f"{path} lists the files itself, so a template is not used. Omit the template."
+            )
         frames = frames_of_table(read_text(path), cameras, str(path))
         return Source(path.parent, frames, _views(frames, cameras))
     if not path.is_dir():
         refuse_videos([path])
-        raise InputError(f"{path} is no folder and no CSV table. Give the recording's folder.")
+        raise InputError(
+            f"{path} is neither a folder nor a CSV table. Give the folder of the recording."
+        )
     try:
         folders = max(camera.count("/") for camera in cameras)
         depth = folders + (1 if template is None else folder_depth(template))
@@ -65,7 +81,7 @@ def find_frames(
 
 
 def _views(frames: Sequence[Frame], cameras: Sequence[str]) -> tuple[str, ...]:
-    """Cameras with a file, if these are enough; otherwise all."""
+    """Cameras with a file in any frame if there are three or more, otherwise all cameras."""
     cameras_with_files = set().union(*(frame.files for frame in frames))
     return tuple(
         c for c in cameras if c in cameras_with_files or len(cameras_with_files) < ENOUGH_VIEWS
@@ -73,7 +89,10 @@ def _views(frames: Sequence[Frame], cameras: Sequence[str]) -> tuple[str, ...]:
 
 
 def _files(folder: Path, depth: int, prefix: str = "") -> Iterator[str]:
-    """Names of the files at most `depth` folders deep, without hidden ones."""
+    """Yield the names of files at most `depth` folders deep, without hidden files.
+
+    prefix : path of the folder in the names.
+    """
     with os.scandir(folder) as entries:
         for entry in entries:
             if entry.name.startswith("."):

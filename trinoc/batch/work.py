@@ -18,7 +18,7 @@ from trinoc.segments.find import find_segments
 
 
 class MatchingJob(NamedTuple):
-    """Settings that all parts share; they are sent to the machines of a cluster."""
+    """Settings that all parts of a recording share. A cluster sends them to its machines."""
 
     folder: Path
     rig: Rig
@@ -30,10 +30,10 @@ class MatchingJob(NamedTuple):
 def part_results(
     work: MatchingJob, part: RecordingPart, stopped: Callable[[], bool] = lambda: False
 ) -> list[FrameMatches]:
-    """Results of the frames of a part. One image is in memory at a time.
+    """Detect and match the segments of all frames of a part. One image is in memory at a time.
 
-    Raises CancelledError if `stopped` returns True between two frames. The failure of a frame
-    raises nothing.
+    A frame that fails has a sentence as its result. Raises CancelledError if `stopped` returns True
+    between two frames.
     """
     segments: dict[str, dict[str, Segments] | str] = {}
     for frame in part.frames:
@@ -54,7 +54,8 @@ def part_results(
 def frame_segments(work: MatchingJob, frame: Frame) -> dict[str, Segments]:
     """Segments of each view of a frame, detected in its images or read from its files.
 
-    Raises InputError if a file is missing, is not an image of its camera, or is used twice.
+    Raises InputError if a file is missing, is not an image of its camera, or belongs to two
+    cameras.
     """
     segments: dict[str, Segments] = {}
     view_of: dict[bytes, str] = {}

@@ -24,9 +24,18 @@ _Task = TypeVar("_Task")
 
 
 class Workers(NamedTuple):
-    """An executor with its number of parallel tasks and the function that it applies to a part.
+    """Workers that match the parts of a recording.
 
-    `where` is its name in messages.
+    Attributes
+    ----------
+    executor : Executor
+        Executor that runs the tasks.
+    count : int
+        Number of parallel tasks.
+    do : callable
+        Function that a task applies to a part.
+    where : str
+        Name of the workers in messages.
     """
 
     executor: Executor
@@ -37,9 +46,9 @@ class Workers(NamedTuple):
 
 @contextlib.contextmanager
 def threads(work: MatchingJob, count: int) -> Iterator[Workers]:
-    """Threads of this process, which share its compiled kernels.
+    """Context manager that yields threads of this process, which share its compiled kernels.
 
-    If the block ends early, they stop between two frames.
+    If the block ends early, the threads stop between two frames.
     """
     stop = threading.Event()
     executor = ThreadPoolExecutor(count, thread_name_prefix="trinoc-batch")
@@ -52,10 +61,11 @@ def threads(work: MatchingJob, count: int) -> Iterator[Workers]:
 
 @contextlib.contextmanager
 def processes(work: MatchingJob, count: int) -> Iterator[Workers]:
-    """Separate processes, faster than threads: small Python steps of one process run one at a time.
+    """Context manager that yields worker processes.
 
-    They read this process's compiled kernels, and stop as threads do. A script that calls this
-    needs `if __name__ == "__main__":`, because they import it.
+    They are faster than threads, because threads of one process run small Python steps one at a
+    time. The processes read the compiled kernels of this process, and stop as threads do. They
+    import the main script, which therefore needs `if __name__ == "__main__":`.
     """
     import jax
 
@@ -77,7 +87,9 @@ def processes(work: MatchingJob, count: int) -> Iterator[Workers]:
 
 @contextlib.contextmanager
 def _no_interruption() -> Iterator[None]:
-    """Block in which started processes ignore Ctrl-C, so that only this process receives it."""
+    """Context manager in which started processes ignore Ctrl-C, so that only this process receives
+    it.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -111,9 +123,10 @@ def _results_in_process(part: Any) -> Any:
 
 @contextlib.contextmanager
 def cluster(work: MatchingJob, address: str) -> Iterator[Workers]:
-    """Workers of a Dask cluster, which must have the images under the same paths.
+    """Context manager that yields the workers of a Dask cluster.
 
-    Raises InputError if Dask is not installed, the scheduler does not answer, or it has no workers.
+    The workers must have the images under the same paths. Raises InputError if Dask is not
+    installed, the scheduler does not answer, or it has no workers.
     """
     try:
         from distributed import Client
@@ -144,10 +157,13 @@ def in_window(
     window: int,
     may_start: Callable[[], bool] = lambda: True,
 ) -> Iterator[tuple[_Task, Future[Any]]]:
-    """(task, finished future) of every task, in the order of completion.
+    """Run tasks and yield each task with its finished future, in the order of completion.
 
-    At most `window` tasks are started and not yet yielded, so that results do not accumulate if the
-    consumer is slow. While `may_start` returns False, tasks run one at a time.
+    window : largest number of tasks that are started and not yet yielded. The limit keeps results
+        from
+    accumulating in memory if the consumer is slow.
+    may_start : function that permits a further task. While it returns False, tasks run one at a
+        time.
     """
     open_tasks: dict[Future[Any], _Task] = {}
     remaining = iter(tasks)

@@ -94,7 +94,7 @@ def calibrate_intrinsics(
     pose of the board in each image, and the print scales and the warp of the board. For circles,
     the exact centre of the elliptical image is predicted.
     """
-    image_list = "a list of pictures, or of what detect_target found in them"
+    image_list = "a list of images, or of the results of detect_target for these images"
     check_kind(images_or_detections, (Sequence, np.ndarray), "list of pictures", image_list)
     check_kind(pattern, AbstractTarget, "pattern", A_BOARD)
     if principal_point not in ("free", "centre"):
@@ -105,7 +105,7 @@ def calibrate_intrinsics(
     is_splined = splined is not False or issubclass(models[0], AbstractSplinedLens)
     if aspect != "free" and (method == "pixels" or is_splined):
         option = 'method="pixels"' if method == "pixels" else "A splined lens"
-        raise InputError(f"{option} estimates both focal lengths: leave out aspect.")
+        raise InputError(f"{option} estimates both focal lengths: omit aspect.")
     shots = [f"picture {k + 1}" for k in range(len(images_or_detections))]
     images = {CAMERA: dict(zip(shots, images_or_detections, strict=True))}
     expect_method(method, pattern, images)
@@ -178,8 +178,8 @@ def _expect_usable(boards: BoardDetections, image_size_px: tuple[int, int] | Non
                 " x ".join(map(str, size)) for size in (detection.image_size_px, image_size_px)
             )
             raise InputError(
-                f"{capitalise(shot)} has {actual} pixels instead of {expected}: give images of one "
-                "camera at one resolution."
+                f"{capitalise(shot)} has {actual} pixels, but the other images have {expected}: "
+                "give images of one camera at one resolution."
             )
         for name, other in earlier.items():
             if np.array_equal(other.centres_px, detection.centres_px):

@@ -142,8 +142,8 @@ def models_to_try(
     if name in ("auto", "splined"):
         if distortion is not None or lenses:
             raise InputError(
-                f'lens_model is "{name}", which finds every lens and all its coefficients: name a '
-                "model, or leave out distortion and lens."
+                f'lens_model is "{name}", which estimates all coefficients of every lens: name a '
+                "lens model, or omit distortion and lens."
             )
         return tuple(
             lens_model_of(model_name) for model_name in LENSES_TRIED
@@ -152,9 +152,9 @@ def models_to_try(
     counts, names = model.coefficient_counts, model.coefficient_names
     if distortion is not None and distortion not in counts:
         raise InputError(
-            f"distortion is {distortion}, but must be one of {', '.join(map(str, counts))} "
-            f"coefficients of {', '.join(names[:20]) or model.model}, or None for as many as the "
-            "pictures determine."
+            f"distortion is {distortion}, but must be {', '.join(map(str, counts))}, the number of "
+            f"coefficients of {', '.join(names[:20]) or model.model}, or None to estimate as many "
+            "as the images determine."
         )
     return (model,), False
 
@@ -201,8 +201,8 @@ def _lens_factors(
         without = [camera for camera in without if camera in stated]
     if stated is not None and without:
         raise InputError(
-            f'`lens_covariance` is that of a lens that is given, but "{without[0]}" has none in '
-            "`lens`: add it, or leave its covariance out."
+            f'`lens_covariance` has the camera "{without[0]}", but `lens` has no lens for this '
+            "camera: add the lens, or omit the covariance."
         )
     return systematics.lens_factors({camera: lenses.get(camera) for camera in cameras})
 
@@ -213,7 +213,7 @@ def _expect_boards(boards: BoardDetections, observations: ShotObservations) -> N
         if detections:
             continue
         failures = [reason for (name, _), reason in boards.failures.items() if name == camera]
-        reason = f" Its first image: {failures[0]}" if failures else " It has no image."
+        reason = f" Reason for its first image: {failures[0]}" if failures else " It has no image."
         if camera in boards.causes:
             reason = f" {boards.causes[camera]}"
         raise CalibrationError(f'The board was found in no image of camera "{camera}".{reason}')

@@ -71,8 +71,8 @@ def expect_method(method: str, target: AbstractTarget, images: Mapping[str, Pict
     check_kind(images, Mapping, "set of images", "a dictionary of each camera's shots")
     if method == "pixels" and isinstance(target, BoardSet):
         raise InputError(
-            f'"{target.name}" holds several boards, and method "pixels" fits one: give '
-            'method="points".'
+            f'"{target.name}" contains several boards, but method "pixels" supports only one '
+            'board: use method="points".'
         )
     for camera, shots in name_pictures(images).items():
         for shot, image in shots.items():

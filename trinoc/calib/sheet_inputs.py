@@ -24,7 +24,7 @@ def check_images(images: Any, pattern: object) -> None:
         if image is None or np.ndim(image) not in (2, 3):
             actual = "None" if image is None else f"a {type(image).__name__}"
             raise InputError(
-                f'The image of camera "{name}" is {actual} instead of an array of height and '
+                f'The image of camera "{name}" is {actual}, but must be an array with height and '
                 "width: check that its file was found and read."
             )
 

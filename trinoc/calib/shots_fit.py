@@ -384,7 +384,8 @@ def _build_problem(
     if freedom.same_lens:
         if len(set(sizes)) > 1:
             raise InputError(
-                "same_lens needs images of one size, but those of the cameras differ: leave it out."
+                "same_lens needs images of one size, but the images of the cameras differ in size: "
+                "omit same_lens."
             )
         middle = np.argsort([float(lens.focal_length_px[0]) for lens in lenses])[len(lenses) // 2]
         lenses, sizes, lens_of_camera = [lenses[middle]], sizes[:1], 0 * lens_of_camera

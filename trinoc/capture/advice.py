@@ -43,7 +43,7 @@ def field_share(qualities: Sequence[ImageQuality]) -> float:
 
 
 def next_goal(qualities: Sequence[ImageQuality]) -> Goal | None:
-    """Goal for the next image, from the good images so far; None if these are enough."""
+    """Wanted position and tilt of the board in the next image; None if the good images suffice."""
     good = [quality for quality in qualities if quality.is_good]
     if not good:
         return Goal("Hold the board square to the camera, in the middle of the picture.")
@@ -56,11 +56,15 @@ def next_goal(qualities: Sequence[ImageQuality]) -> Goal | None:
         side, axis, sign = missing[0]
         lean = (sign * _LEANING, 0.0) if axis == 0 else (0.0, sign * _LEANING)
         return Goal(
-            f"Tilt the board, its {side} side farther away, filling half the picture.", lean=lean
+            f"Tilt the board with its {side} side farther away, and let the board fill half of the "
+            "picture.",
+            lean=lean,
         )
     if len(good) < FEWEST_PICTURES:
         missing_count = FEWEST_PICTURES - len(good)
-        sentence = f"Take {missing_count} more, turned and tilted otherwise."
+        sentence = (
+            f"Take {missing_count} more pictures, with the board turned and tilted differently."
+        )
         return Goal(sentence, lean=(_LEANING, _LEANING), turn_deg=20.0 * missing_count)
     return None
 
@@ -78,10 +82,10 @@ def next_step(qualities: Sequence[ImageQuality]) -> str:
 
 def adds_information(earlier: Sequence[ImageQuality], last: ImageQuality) -> bool:
     """True if a good image covers a new cell of the field or shows a new tilt."""
-    together = [*earlier, last]
-    if not last.is_good or covered_cells(together).sum() > covered_cells(earlier).sum():
+    qualities = [*earlier, last]
+    if not last.is_good or covered_cells(qualities).sum() > covered_cells(earlier).sum():
         return last.is_good
-    return len(_missing_sides(together)) < len(_missing_sides(earlier))
+    return len(_missing_sides(qualities)) < len(_missing_sides(earlier))
 
 
 def summary_lines(qualities: Sequence[ImageQuality]) -> list[str]:

@@ -46,7 +46,7 @@ def failure_picture(
         angle = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
         box = (middle.tolist(), (2 * half).tolist(), angle)
         cv2.ellipse(canvas, box, _CANDIDATE, 2, cv2.LINE_AA)
-    lines = [f"{one[:1].upper()}{one[1:].removesuffix('.')}." for one in sentences]
+    lines = [f"{sentence[:1].upper()}{sentence[1:].removesuffix('.')}." for sentence in sentences]
     count = f"{len(candidates)} dark spots could be circles; they are drawn around."
     return np.concatenate([_caption([*lines, count], size[0]), canvas])
 

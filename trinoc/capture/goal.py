@@ -48,10 +48,10 @@ def goal_points_px(
     lens model.
     """
     extent = np.maximum(np.ptp(points_mm, axis=0), 1e-9)
-    flat = (points_mm - 0.5 * (points_mm.min(axis=0) + points_mm.max(axis=0))) * (1.0, -1.0)
+    centred_mm = (points_mm - 0.5 * (points_mm.min(axis=0) + points_mm.max(axis=0))) * (1.0, -1.0)
     lean = np.array(goal.lean)
-    depth = 1.0 + (flat / extent) @ lean
-    shape = flat * np.where(lean != 0.0, _FORESHORTENED, 1.0) / depth[:, None]
+    depth = 1.0 + (centred_mm / extent) @ lean
+    shape = centred_mm * np.where(lean != 0.0, _FORESHORTENED, 1.0) / depth[:, None]
     sine, cosine = np.sin(np.radians(goal.turn_deg)), np.cos(np.radians(goal.turn_deg))
     shape = shape @ np.array([[cosine, sine], [-sine, cosine]])
     size, box, pitch = np.array(size_px), np.ptp(shape, axis=0), _pitch_mm(points_mm)

@@ -29,7 +29,7 @@ _MARGIN = 0.08
 
 
 class ImageQuality(NamedTuple):
-    """Detection and quality of the board in one image.
+    """Detected points of the board in one image, and measures of the image's quality.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class ImageQuality(NamedTuple):
     blur_px : float
         Blur of the edges as the sigma of a Gaussian; NaN with too few edges.
     exposure : Exposure
-        Exposure of the board, or of the whole image if it was not detected.
+        Exposure of the board, or of the whole image if the board was not detected.
     lean : (2,)
         Tilt of the board, as in `measure_lean`.
     faults : tuple of str
@@ -144,7 +144,7 @@ def measure_quality(
 
 
 def unreadable_quality(name: str, target: AbstractTarget, reason: str) -> ImageQuality:
-    """Quality of a file that is not a readable image, with the reason `why`."""
+    """Quality of a file that is not a readable image. reason : why it is not readable."""
     no_points, nan = np.zeros((0, 2)), float("nan")
     unknown, kind = Exposure(nan, nan, nan), target.point_kind
     return ImageQuality(
@@ -170,13 +170,13 @@ def quality_line(quality: ImageQuality) -> str:
 
 
 def _window(points_px: Float[np.ndarray, "m 2"], size_px: tuple[int, int]) -> tuple[slice, slice]:
-    """Rows and columns around the detected points, or all without points."""
+    """Slices of the rows and columns around the detected points, or of the whole image."""
     if not len(points_px):
         return slice(None), slice(None)
     low, high = points_px.min(axis=0), points_px.max(axis=0)
-    room = _MARGIN * (high - low) + 12.0
-    left, upper = np.maximum(np.floor(low - room), 0).astype(int)
-    right, lower = np.minimum(np.ceil(high + room), size_px).astype(int)
+    margin = _MARGIN * (high - low) + 12.0
+    left, upper = np.maximum(np.floor(low - margin), 0).astype(int)
+    right, lower = np.minimum(np.ceil(high + margin), size_px).astype(int)
     return slice(upper, lower), slice(left, right)
 
 
@@ -186,14 +186,20 @@ def _faults(
     faults = []
     if not is_detected and math.isnan(blur_px):
         faults.append(
-            "hardly anything has an edge: see that the lens cap is off, and the file right"
+            "the picture has almost no edges: check that the lens cap is off, and that this is the "
+            "right file"
         )
     if blur_px > SOFTEST_PX:
-        faults.append(f"edges are {blur_px:.1f} px wide: focus on the board, hold it still")
+        faults.append(
+            f"edges are {blur_px:.1f} px wide: focus on the board, and hold the board still"
+        )
     if exposure.saturated > MOST_SATURATED:
-        faults.append(f"{exposure.saturated:.0%} is saturated: shorten the exposure")
+        faults.append(f"{exposure.saturated:.0%} of the pixels are saturated: shorten the exposure")
     if exposure.paper < DARKEST_PAPER:
-        faults.append(f"the paper reaches {exposure.paper:.0%} of white: more light")
+        faults.append(f"the paper has only {exposure.paper:.0%} of the white level: use more light")
     if smallest_px < SMALLEST_CIRCLE_PX:
-        faults.append(f"circles are {smallest_px:.0f} px across: nearer, or a larger sheet")
+        faults.append(
+            f"circles are only {smallest_px:.0f} px wide: move the camera nearer, or use a larger "
+            "sheet"
+        )
     return faults

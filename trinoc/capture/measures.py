@@ -87,7 +87,14 @@ def _ridge_blur_px(
     ridge: Bool[np.ndarray, "h w"],
     mask: Bool[np.ndarray, "h w"] | None = None,
 ) -> float:
-    """Blur of the steep edges among the pixels of a mask, or of all; NaN with too few edges."""
+    """Median blur of the steep edges in an image, px; NaN with too few edges.
+
+    The blur follows from the gradients at two scales.
+
+    fine, coarse : lengths of the grey levels' gradient after a small and a large Gaussian blur.
+    ridge : mask of the pixels where the gradient is a local maximum. mask : mask of the pixels to
+        use; None for all.
+    """
     slopes = fine if mask is None else fine[mask]
     if not len(slopes):
         return float("nan")
@@ -119,10 +126,11 @@ def edge_normals(
 
 
 def fine_contrast(image: Shaped[np.ndarray, "..."]) -> float:
-    """Mean square of the fine detail of an image; the sharpest of several images has the largest.
+    """Mean square of the fine detail of an image, which motion of the board reduces.
 
-    A moving board reduces it. `image` is (h, w) or (h, w, channels); of channels, the second is
-    used. Costs no more than decoding.
+    Of several images of a scene, the sharpest has the largest value. The cost is that of decoding.
+
+    image : (h, w) or (h, w, channels); of several channels, the second is used.
     """
     plane = np.ascontiguousarray(image if image.ndim == 2 else image[..., 1])
     smooth = cv2.GaussianBlur(plane, (0, 0), _FINE)
@@ -132,9 +140,10 @@ def fine_contrast(image: Shaped[np.ndarray, "..."]) -> float:
 def _slope(
     level: Float[np.ndarray, "h w"], scale: float
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """(size, right part, down part) of the gradient after a Gaussian of `scale` px.
+    """Length, right component and down component of the grey levels' gradient.
 
-    The central differences contribute 1/3 px^2 of the variance.
+    The gradient is taken after a Gaussian blur of `scale` px; the central differences contribute
+    1/3 px^2 of the blur's variance.
     """
     smooth = cv2.GaussianBlur(level, (0, 0), np.sqrt(scale**2 - 1.0 / 3.0))
     rows = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=1)
@@ -145,7 +154,11 @@ def _slope(
 def cover_cells(
     points_px: Float[np.ndarray, "m 2"], size_px: tuple[int, int]
 ) -> Bool[np.ndarray, "r c"]:
-    """Mask of the image cells that contain a point of the board or whose middle lies among them."""
+    """Mask of the image cells that the board covers, (r, c).
+
+    A cell is covered if it contains a board point, or if its middle lies inside the hull of the
+    points.
+    """
     rows, columns = GRID
     cells = np.zeros(GRID, dtype=bool)
     if not len(points_px):

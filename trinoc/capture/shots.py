@@ -36,7 +36,7 @@ class Shot(NamedTuple):
 
 
 class Advice(NamedTuple):
-    """Next step: a sentence, and the goal of each camera that it concerns."""
+    """Advice for the user: a sentence, and the wanted board position of each camera it concerns."""
 
     sentence: str
     goals: Mapping[str, Goal]
@@ -124,8 +124,8 @@ def find_missing(shots: Sequence[Shot], cameras: Sequence[str]) -> str | None:
     if len(groups) > 1:
         first, second = (" or ".join(group) for group in groups[:2])
         return (
-            f"There is no calibration, because no shot has the board in view of {first} and "
-            f"{second} at the same time. Hold it where both see it."
+            f"There is no calibration, because no shot shows the board to {first} and {second} at "
+            "the same time. Hold the board where both cameras see it."
         )
     return None
 
@@ -152,7 +152,8 @@ def summarise_watch(shots: Sequence[Shot], cameras: Sequence[str]) -> list[str]:
         f"{name} {field_share(camera_qualities(shots, name)):.0%}" for name in cameras
     )
     counts = (
-        f"{len(shots)} moments looked at, {saved_count} shots kept; covered of the field: {shares}."
+        f"{len(shots)} moments tested, {saved_count} shots kept; share of the field covered: "
+        f"{shares}."
     )
     return [counts, advise_cameras(shots, cameras).sentence]
 
@@ -167,4 +168,4 @@ def _describe_fault(shot: Shot) -> str:
         if quality.faults and quality.is_detected:
             return f"Again, {name}: {quality.faults[0]}."
     name, quality = next(iter(shot.qualities.items()))
-    return f"No camera finds the board; of {name}: {quality.refusal}"
+    return f"No camera finds the board. Reason for {name}: {quality.refusal}"

@@ -72,7 +72,7 @@ def batch(
     """
     settings, depths_mm = find_settings(find), depth_range(depth_range_mm)
     threads, scheduler = _workers(workers)
-    part = _shard(shard)
+    job_of_jobs = _shard(shard)
     positive = {
         "frames-per-file": frames_per_file,
         "memory-gb": memory_gb,
@@ -93,7 +93,7 @@ def batch(
             find=settings,
             sigma_px=sigma_px,
             depth_range_mm=depths_mm,
-            shard=part,
+            shard=job_of_jobs,
             frames_per_file=frames_per_file,
             threads_at_most=threads,
             in_processes=True,
@@ -103,8 +103,8 @@ def batch(
         )
     except KeyboardInterrupt as error:
         raise Interruption(
-            f"Interrupted: {progress.done} of {progress.total} frames are done and kept in "
-            f"{out}; the same command goes on from there."
+            f"Interrupted: {progress.done} of {progress.total} frames are done and kept in {out}; "
+            "run the same command again to continue."
         ) from error
     finally:
         progress.close()
@@ -129,7 +129,10 @@ def _report_content(
     find: dict[str, Any],
     depths_mm: tuple[float, float] | None,
 ) -> dict[str, Any]:
-    """All frames of the folder of results, and the middle one with its pictures and its files."""
+    """Contents of the report: all frames in the folder of results, and the middle frame in full.
+
+    The middle frame is shown with its pictures. depths_mm : depth range of the matching.
+    """
     from trinoc.batch.source import find_frames
     from trinoc.batch.work import MatchingJob, frame_segments
     from trinoc.report.frames_part import frames_part
@@ -163,35 +166,41 @@ def _outcome(result: "BatchOutcome", report: Path | None) -> Outcome:
     if result.without:
         sentences.append(f"no picture of {list_names(result.without)}, which were left out")
     if result.failed:
-        sentences.append(f"{result.failed} failed; the manifest says why")
+        sentences.append(f"{result.failed} failed; the manifest contains the reasons")
     if result.suspect:
         sentences.append(f"{result.suspect} do not seem to belong to the rig")
     if result.uncertain:
-        sentences.append(f"use {result.uncertain} with care; the manifest says why")
+        sentences.append(f"use {result.uncertain} with care; the manifest contains the reasons")
     record = pick(result, "frames", "failed", "suspect", "uncertain", "tracks", "earlier")
     record["workers"] = result.workers if result.frames > result.earlier else 0
     refusal = None
     if result.frames and result.failed == result.frames:
-        refusal = f"All {result.frames} frames failed: {result.manifest} says why."
+        refusal = f"All {result.frames} frames failed: {result.manifest} contains the reasons."
     elif result.suspect:
         refusal = (
             f"{result.suspect} of {result.frames} frames do not seem to belong to the rig: "
-            f"{result.manifest} says why."
+            f"{result.manifest} contains the reasons."
         )
     written = (result.folder, result.manifest, report)
     return Outcome(f"{'; '.join(sentences)}.", record, refusal, written)
 
 
 def _shard(text: str) -> tuple[int, int]:
-    numbers = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
-    part, parts = (int(numbers[1]), int(numbers[2])) if numbers else (0, 0)
+    match = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
+    part, parts = (int(match[1]), int(match[2])) if match else (0, 0)
     if not 1 <= part <= parts:
-        raise UsageError(f"--shard {text} is no job: write 1/4 to 4/4 for four of them.")
+        raise UsageError(
+            f"--shard is {text}, but must be the number of a job and the number of jobs: write 1/4 "
+            "to 4/4 for four jobs."
+        )
     return part, parts
 
 
 def _workers(text: str | None) -> tuple[int | None, str | None]:
-    """(threads at most, address of a scheduler). Raises UsageError."""
+    """Return the largest number of threads and the address of a Dask scheduler, each or None.
+
+    Raises UsageError if the text is neither a number nor an address.
+    """
     if text is None or "://" in text:
         return None, text
     if not (text.isdecimal() and int(text)):
@@ -203,7 +212,7 @@ def _workers(text: str | None) -> tuple[int | None, str | None]:
 
 
 class _Progress:
-    """The progress on stderr: a bar with rate and time on a terminal, a line a minute elsewhere."""
+    """Progress on stderr: a bar with rate and time on a terminal, otherwise a line per minute."""
 
     def __init__(self, *, quiet: bool) -> None:
         self.done, self.total = 0, 0
@@ -212,7 +221,7 @@ class _Progress:
         self._start_s = self._last_s = 0.0
 
     def show(self, progress: "BatchProgress") -> None:
-        """Show the progress, and keep its counts."""
+        """Show the progress and store it."""
         self.done, self.total = progress.done, progress.total
         if self._quiet:
             return

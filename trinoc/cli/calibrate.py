@@ -90,8 +90,8 @@ def calibrate(
     scale = print_scale or (1.0, 1.0)
     if not all(0.9 < each < 1.1 for each in scale):
         raise UsageError(
-            "--print-scale is a measured over a nominal length: give a number near 1, such as "
-            "1.001, for X and for Y."
+            "--print-scale is the measured length divided by the nominal length: give a number "
+            "near 1, such as 1.001, for X and for Y."
         )
     lens_options = LensOptions(lens, lens_mm)
     lens_options.check()
@@ -149,21 +149,21 @@ def calibrate(
 
 
 def _suspicion(result: "trinoc.calib.CalibrationResult", out: Path) -> str | None:
-    """Why the rig is not written unless that is wanted; None where no camera is suspect."""
+    """Return the reason why a rig with a suspect camera is not written; else None."""
     suspects = [
         name for name, status in result.status.items() if status is trinoc.calib.Status.SUSPECT
     ]
     if not suspects:
         return None
-    why = result.fits[suspects[0]].notes[0].removesuffix(".")
+    reason = result.fits[suspects[0]].notes[0].removesuffix(".")
     return (
-        f'The calibration of "{suspects[0]}" is SUSPECT ({why}), so {out} was not written: mend '
-        "what is named, or take it all the same with --accept-suspect."
+        f'The calibration of "{suspects[0]}" is SUSPECT ({reason}), so {out} was not written: '
+        "correct the cause, or accept the result with --accept-suspect."
     )
 
 
 def calibration_record(result: "trinoc.calib.CalibrationResult") -> dict[str, Any]:
-    """Summary of a calibration for programs, as JSON can hold it."""
+    """Summary of a calibration as a JSON object."""
     parameters: dict[str, dict[str, Any]] = {name: {} for name in result.status}
     for parameter, value in zip(result.parameters, result.values, strict=True):
         name, _, short = parameter.rpartition(".")
@@ -195,11 +195,16 @@ def _keep_of_failure(
     refuse: Callable[["trinoc.calib.CalibrationResult"], str | None],
     provenance: Mapping[str, Any],
 ) -> CalibrationError:
-    """The same error, which also says what was written beside `out`.
+    """Write what a failed calibration produced, and return the error with sentences about these
+    files.
 
-    `out` itself stays as it is: an incomplete rig must not take the place of a whole one.
+    The rig of the other cameras is written to a separate file, so that it does not replace a
+    complete rig in `out`.
 
-    refuse : returns why the rig of the other cameras may not be written, or None.
+    pictures : images by camera.
+    refuse : function that returns the reason why the rig of the other cameras may not be written,
+        or
+    None.
     """
     from trinoc.capture.annotated import failure_picture
     from trinoc.capture.image_quality import measure_quality
@@ -210,15 +215,18 @@ def _keep_of_failure(
         faults = measure_quality(name, pictures[name], pattern).faults
         path = out.with_name(f"{out.stem}-{as_file_name(name)}-failed.png")
         trinoc.io.write_picture(path, failure_picture(pictures[name], [failure, *faults]))
-        causes = f" (there {'; '.join(faults)})" if faults else ""
-        sentences.append(f'What was seen of "{name}" is in {path}{causes}.')
+        causes = f" (possible causes: {'; '.join(faults)})" if faults else ""
+        sentences.append(f'The detected points of "{name}" are drawn in {path}{causes}.')
     result = error.result
     if isinstance(result, trinoc.calib.CalibrationResult):
-        why = refuse(result)
-        if why is None:
+        sentence = refuse(result)
+        if sentence is None:
             path = out.with_name(f"{out.stem}-incomplete.json")
             trinoc.save(result, path, provenance=provenance, overwrite=True)
-            outcome = "is as it was" if out.exists() else "was not written"
-            why = f"{path} holds the others ({', '.join(result.rig.names)}); {out} {outcome}."
-        sentences.append(why)
+            outcome = "is unchanged" if out.exists() else "was not written"
+            sentence = (
+                f"{path} contains the calibrated cameras ({', '.join(result.rig.names)}); {out} "
+                f"{outcome}."
+            )
+        sentences.append(sentence)
     return CalibrationError(" ".join(sentences), error.failures, result)

@@ -99,10 +99,13 @@ def calibrate_shots(
     out: Path,
     job: Job,
 ) -> "tuple[trinoc.calib.CalibrationResult, Outcome]":
-    """Calibrate the cameras of folders of pictures and write the rig: the result and its outcome.
+    """Calibrate cameras from folders of pictures, and write the rig. Return the result and the
+    outcome.
 
-    systematics : fields of `Systematics` that are not the usual ones.
-    choices : arguments of `trinoc.calibrate_rig`.
+    folders : folder of each camera. board : layout files. lens : values of --lens.
+    systematics : fields of `Systematics` that differ from the default.
+    choices : further arguments of `trinoc.calibrate_rig`.
+    report, out : files to write.
     """
     job.expect(trinoc.Rig, out, report)
     target = load_boards(board)
@@ -138,14 +141,17 @@ def calibrate_shots(
     record = {**rig_record(result), "next_shot": shot_record(advice)}
     refusal = None
     if result.overall_status is trinoc.calib.Status.SUSPECT:
-        refusal = f"The rig is SUSPECT, and {out} says so: {result.notes[0].removesuffix('.')}."
+        refusal = (
+            f"The rig is SUSPECT, which is stated in {out}: {result.notes[0].removesuffix('.')}."
+        )
     return result, Outcome(text, record, refusal, written=(out, report))
 
 
 def load_boards(files: Sequence[Path]) -> "AbstractTarget":
-    """The board of a layout, or the set of the boards of several, fixed to each other.
+    """Load the board of one layout file, or a set of the boards of several files.
 
-    Their own names count where they differ, else those of the files, else their numbers.
+    The boards of a set are named by their own names if these differ, else by the names of the
+    files, else by numbers.
     """
     if not files:
         raise UsageError("No board is given: add --board FILE, as `trinoc pattern` writes it.")
@@ -161,20 +167,20 @@ def load_boards(files: Sequence[Path]) -> "AbstractTarget":
 
 
 def board_files(files: Sequence[Path]) -> dict[str, Path]:
-    """The layouts, for the provenance of files."""
+    """Layout files by name, for the provenance."""
     if len(files) == 1:
         return {"board": files[0]}
     return {f"board {number}": file for number, file in enumerate(files, 1)}
 
 
 def shot_record(advice: "NextShot | None") -> dict[str, Any] | None:
-    """The shot to take next, as JSON can hold it."""
+    """Recommended next shot as a JSON object; None without one."""
     names = ("sentence", "cameras", "world_from_board", "error_now_px", "error_then_px")
     return None if advice is None else pick(advice, *names, "sigma_then")
 
 
 def _pair_record(pair: "CameraPair") -> dict[str, Any]:
-    """Baseline and relative rotation of two cameras, as JSON can hold it."""
+    """Baseline and relative rotation of two cameras as a JSON object."""
     turns = zip("xyz", pair.turn_deg, pair.turn_sigma_deg, strict=True)
     return {
         "cameras": [pair.first, pair.second],
@@ -193,7 +199,7 @@ def _pair_record(pair: "CameraPair") -> dict[str, Any]:
 
 
 def rig_record(result: "trinoc.calib.CalibrationResult") -> dict[str, Any]:
-    """Summary of a rig from many shots for programs, as JSON can hold it."""
+    """Summary of a rig from many shots as a JSON object."""
     from trinoc.calib.targets.board_set import board_names
 
     halves, held_out, pixel = result.halves, result.cross_validation, result.pixel_sigma

@@ -16,10 +16,10 @@ _MARK = b"<!doctype html>"
 
 
 def expect_options(call: inspect.BoundArguments) -> None:
-    """Check the options of a command.
+    """Check the options of a command before it runs.
 
-    Raises UsageError for an option that is not a number, and where two results, or a result and
-    what it is made of, are one file. Raises InputError where a report would replace something else.
+    Raises UsageError if a number is not finite, or if an output file is also an input or another
+    output. Raises InputError if a report would replace another kind of file.
     """
     options, parameters = call.arguments, call.signature.parameters
     for name, value in options.items():
@@ -35,11 +35,12 @@ def expect_options(call: inspect.BoundArguments) -> None:
             output in _paths(value) for option, value in options.items() if option not in ignored
         ):
             raise UsageError(
-                f"--{name} is {path}, which is read, and would be lost: give another name."
+                f"--{name} is {path}, which is an input and would be overwritten: give another "
+                "name."
             )
         if output in taken:
             raise UsageError(
-                f"--{taken[output]} and --{name} are both {path}: give each a name of its own."
+                f"--{taken[output]} and --{name} are both {path}: give each output its own name."
             )
         taken[output] = name
         if name == "report":
@@ -55,22 +56,28 @@ def _expect_report(path: Path, *, force: bool) -> None:
 
 
 def _expect_numbers(name: str, value: Any, default: Any) -> None:
-    """Raise UsageError for NaN, and for infinity where the default has none."""
-    usual = default if isinstance(default, tuple) else (default,)
+    """Raise UsageError for NaN, and for infinity unless the default value contains it."""
+    default_numbers = default if isinstance(default, tuple) else (default,)
     for number in value if isinstance(value, tuple) else (value,):
-        if isinstance(number, float) and not math.isfinite(number) and number not in usual:
+        if (
+            isinstance(number, float)
+            and not math.isfinite(number)
+            and number not in default_numbers
+        ):
             raise UsageError(f"--{name.replace('_', '-')} is {number}: give a finite number.")
 
 
 def _paths(value: Any) -> set[Path]:
-    """The files that an option names, as paths or as NAME=FILE."""
+    """Files in the value of an option, given as paths or as NAME=FILE."""
     values = value if isinstance(value, tuple) else (value,)
     files = [word.partition("=")[2] or word if isinstance(word, str) else word for word in values]
     return {_resolve(Path(file)) for file in files if file and isinstance(file, str | Path)}
 
 
 def _resolve(path: Path) -> Path:
-    """One path for all names of a file; a name that no file can have stays as it is."""
+    """Absolute path of a file without symbolic links; the path itself if no file can have this
+    name.
+    """
     try:
         return path.resolve()
     except (OSError, RuntimeError, ValueError):

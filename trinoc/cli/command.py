@@ -19,7 +19,7 @@ _Item = TypeVar("_Item")
 
 
 def set_up_logging(*, quiet: bool) -> None:
-    """Send the package's log to stderr: steps as well as warnings, or only warnings."""
+    """Send the log of the package to stderr. quiet : True for warnings only."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("trinoc: %(message)s"))
     LOGGER.handlers[:] = [handler]
@@ -28,19 +28,27 @@ def set_up_logging(*, quiet: bool) -> None:
 
 
 class UsageError(InputError):
-    """The command line itself is wrong: exit status 2 instead of 1."""
+    """Error in the command line. The exit status is 2, not 1."""
 
 
 class Interruption(KeyboardInterrupt):
-    """Ctrl-C in a job that keeps what is done; the text says so."""
+    """Ctrl-C in a job that keeps its finished results. The text of the exception states this."""
 
 
 class Outcome(NamedTuple):
-    """The output of a command: text for people, or one JSON object for programs.
+    """Output of a command.
 
-    refusal : why the job counts as failed although there is output; None where it does not.
-    written : the files that it left, of which None were not asked for; None for a job that only
-        prints.
+    Attributes
+    ----------
+    text : str
+        Output for people.
+    record : mapping
+        Output as one JSON object for programs.
+    refusal : str, optional
+        Reason why the command counts as failed although it has output; None for success.
+    written : sequence of paths, optional
+        Files that were written; None in place of a file that was not requested. None for a command
+        that writes no files.
     """
 
     text: str
@@ -49,7 +57,7 @@ class Outcome(NamedTuple):
     written: Sequence[Path | None] | None = None
 
     def with_files(self) -> "Outcome":
-        """The same with its files in the text and in the record."""
+        """Return the outcome with the written files added to text and record."""
         if self.written is None:
             return self
         names = [str(path) for path in self.written if path is not None]
@@ -63,10 +71,16 @@ class Outcome(NamedTuple):
 class Job:
     """Options and steps that most commands share.
 
-    json : print one JSON object.
-    quiet : show no progress.
-    force : overwrite an output file that holds a value of another kind.
-    command_line : text that the user typed, for the provenance of files.
+    Attributes
+    ----------
+    json : bool
+        Print one JSON object.
+    quiet : bool
+        Show no progress.
+    force : bool
+        Overwrite an output file that contains a value of another kind.
+    command_line : str
+        Command as the user typed it, for the provenance of files.
     """
 
     json: bool = False
@@ -77,9 +91,9 @@ class Job:
     def expect(self, kind: type, out: Path | None, *others: Path | None) -> None:
         """Check, before any work, that a value of type `kind` can be written to `out`.
 
-        others : further output files, of any type.
+        Raises InputError if it cannot.
 
-        Raises InputError.
+        others : further output files, of any type.
         """
         from trinoc.io.atomic import expect_place
         from trinoc.io.saving import expect_replaceable
@@ -88,7 +102,11 @@ class Job:
         expect_replaceable(out, kind, force=self.force)
 
     def provenance(self, inputs: Mapping[str, str | os.PathLike[str]]) -> dict[str, Any]:
-        """The "provenance" object of a file; equal inputs give equal objects: it has no date."""
+        """Return the "provenance" object for output files. It has no date, so equal inputs give
+        equal objects.
+
+        inputs : input files by name.
+        """
         return {
             "command": self.command_line,
             "version": trinoc.__version__,
@@ -104,7 +122,9 @@ class Job:
     def write_report(
         self, report: Path | None, provenance: Mapping[str, Any], **content: Any
     ) -> None:
-        """Write the HTML report, where one is asked for."""
+        """Write the HTML report if its path is given. content : arguments of
+        `trinoc.report.write_report`.
+        """
         if report is None:
             return
         from trinoc.report.html import write_report
@@ -113,7 +133,7 @@ class Job:
         write_report(report, provenance=for_people(provenance), **content)
 
     def each(self, items: Collection[_Item], doing: str) -> Iterator[_Item]:
-        """The items, with a progress bar on stderr that leaves no trace."""
+        """Yield the items with a progress bar on stderr. doing : what the bar says."""
         bar = Bar(doing, quiet=self.quiet)
         for number, item in enumerate(items):
             bar.show(number, len(items))
@@ -122,7 +142,7 @@ class Job:
 
 
 def for_people(origin: Mapping[str, Any]) -> dict[str, str]:
-    """A provenance as lines of text, for the foot of a report."""
+    """Provenance as names and texts, for the end of a report."""
     files = {
         name: f"{entry['file']} (sha256 {entry['sha256'][:12]})"
         for name, entry in origin["inputs"].items()
@@ -131,7 +151,7 @@ def for_people(origin: Mapping[str, Any]) -> dict[str, str]:
 
 
 class Bar:
-    """A progress bar on stderr for work that reports how far it is."""
+    """Progress bar on stderr."""
 
     def __init__(self, doing: str, *, quiet: bool) -> None:
         self._doing, self._quiet, self._bar = doing, quiet, None
@@ -143,12 +163,12 @@ class Bar:
         self.close()
 
     def close(self) -> None:
-        """Remove the bar."""
+        """Remove the bar from the terminal."""
         if self._bar is not None:
             self._bar.close()
 
     def show(self, done: int, total: int) -> None:
-        """Show that so many of so many are done."""
+        """Show the progress: `done` of `total` steps."""
         if self._quiet or not sys.stderr.isatty():
             return
         from tqdm import tqdm
@@ -165,7 +185,10 @@ def plan_outcome(
     sizes_px: Mapping[str, tuple[int, int]],
     outputs: Sequence[Path | None],
 ) -> Outcome:
-    """The outcome of --dry-run: the job, each camera with its file and size, and the outputs."""
+    """Outcome of --dry-run: each camera with its file and image size, and the files to write.
+
+    what : name of the job.
+    """
     lines = [f"would {what}:"]
     for name, file in files.items():
         width, height = sizes_px[name]
@@ -180,12 +203,15 @@ def plan_outcome(
 
 
 def pick(value: object, *names: str) -> dict[str, Any]:
-    """The named attributes of a value, as JSON can hold them."""
+    """Attributes of a value by name, in a form that JSON supports."""
     return {name: as_json(getattr(value, name)) for name in names}
 
 
 def as_json(value: Any) -> Any:
-    """A value as JSON can hold it: lists for arrays and tuples, null for NaN and infinity."""
+    """Convert a value to a form that JSON supports.
+
+    Arrays and tuples become lists; NaN and infinity become null.
+    """
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, Mapping):

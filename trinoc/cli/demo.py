@@ -68,7 +68,7 @@ def demo(
     if keep_inputs:
         inputs, lines = _keep_inputs(out), _commands()
         text.append(
-            "\n".join(["The same by hand:", f"cd {shlex.quote(str(out))}", *lines])
+            "\n".join(["Commands for the same result:", f"cd {shlex.quote(str(out))}", *lines])
             + "\ntrinoc.toml there says the same, so that `trinoc calibrate` and `trinoc match` do."
         )
     LOGGER.info("done in %.1f s", sum(seconds.values()))
@@ -98,7 +98,21 @@ def demo(
 
 
 class DemoWork(NamedTuple):
-    """The pictures and the results of the demo, by view."""
+    """Inputs and results of the demo.
+
+    Attributes
+    ----------
+    sheets, scenes : dict
+        Pictures of the sheet and of the scene, by view.
+    known : Rig
+        True cameras.
+    result : CalibrationResult
+        Calibration.
+    segments : dict of Segments
+        Segments of the scene, by view.
+    matches : Matches
+        Matches of the segments.
+    """
 
     sheets: "dict[str, np.ndarray]"
     scenes: "dict[str, np.ndarray]"
@@ -109,7 +123,9 @@ class DemoWork(NamedTuple):
 
 
 def _work(seconds: dict[str, float]) -> DemoWork:
-    """Calibrate and match, by the functions of the other commands in the same order."""
+    """Calibrate the demo's cameras and match its scene. seconds : receives the duration of each
+    step.
+    """
     from trinoc.io.demo import demo_images, demo_pattern
     from trinoc.synth.rigs import table1_lens, table1_rig
 
@@ -128,7 +144,7 @@ def _work(seconds: dict[str, float]) -> DemoWork:
 
 
 class Score(NamedTuple):
-    """Against the truth: straight edges alone, and the chords of the cylinder's rims as well."""
+    """Scores of the demo's lines against the true edges: without and with the cylinder's rims."""
 
     edges: "LengthScore"
     with_rims: "LengthScore"
@@ -199,7 +215,7 @@ def _sentence(score: Score) -> str:
 
 @contextlib.contextmanager
 def _step(doing: str, seconds: dict[str, float]) -> Iterator[None]:
-    """Log the step, and note how long it took."""
+    """Context manager that logs a step of the demo, and stores its duration in `seconds`."""
     LOGGER.info(doing)
     start = time.perf_counter()
     yield
@@ -207,7 +223,7 @@ def _step(doing: str, seconds: dict[str, float]) -> Iterator[None]:
 
 
 def _keep_inputs(folder: Path) -> list[Path]:
-    """Write pictures, layout of the sheet and trinoc.toml beside the results."""
+    """Write the pictures, the layout of the sheet and trinoc.toml; return the files."""
     from trinoc.io.atomic import write_text
     from trinoc.io.demo import demo_paths, demo_pattern
 
@@ -231,7 +247,7 @@ def _pictures(kind: str) -> dict[str, str]:
 
 
 def _commands() -> list[str]:
-    """The command lines, to be run in the demo's folder, that make its rig and its matches."""
+    """Command lines that produce the demo's rig and matches in its folder."""
     sheets, scenes = (
         [f"{view}={file}" for view, file in _pictures(kind).items()] for kind in ("sheet", "scene")
     )
@@ -248,7 +264,7 @@ def _commands() -> list[str]:
 
 
 def _toml() -> str:
-    """So that `trinoc calibrate` and `trinoc match` need no arguments there."""
+    """Text of trinoc.toml, with which `trinoc calibrate` and `trinoc match` need no arguments."""
     sheets, scenes = (
         ", ".join(f'{view} = "{file}"' for view, file in _pictures(kind).items())
         for kind in ("sheet", "scene")

@@ -17,13 +17,13 @@ _REMEDY = "Attach it to a report of this error."
 
 
 def report_error(error: Exception, arguments: Sequence[str]) -> int:
-    """Print one sentence about an unexpected exception, write its report, return exit status 1.
+    """Print one sentence about an unexpected exception, write an error report, and return exit
+    status 1.
 
-    The sentence goes to stderr. With `--json` among the arguments, stdout has the object that
-    every failed command prints.
+    The sentence goes to stderr. If `--json` is among the arguments, a JSON object goes to stdout.
     """
     sentence = (
-        f"trinoc stopped at an error of its own: {_name_error(error)}. "
+        f"trinoc stopped at an internal error: {_name_error(error)}. "
         f"{_write_report(error, arguments)}"
     )
     print(f"trinoc: {sentence}", file=sys.stderr)
@@ -33,7 +33,7 @@ def report_error(error: Exception, arguments: Sequence[str]) -> int:
 
 
 def _name_error(error: Exception) -> str:
-    """Return the class and the message of an exception as one line, without its final stop."""
+    """Class and message of an exception as one line without a final full stop."""
     message = " ".join(str(error).split()).removesuffix(".")
     if len(message) > _LONGEST_MESSAGE:
         message = f"{message[:_LONGEST_MESSAGE].rstrip()} ..."
@@ -42,7 +42,9 @@ def _name_error(error: Exception) -> str:
 
 
 def _write_report(error: Exception, arguments: Sequence[str]) -> str:
-    """Write the report to the current or the temporary folder; return a sentence on where it is."""
+    """Write the error report to the current or the temporary folder. Return a sentence with its
+    path.
+    """
     text = _report_text(error, arguments)
     moment = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
     name = f"trinoc-error-{moment}-{os.getpid()}.txt"
@@ -60,7 +62,7 @@ def _write_report(error: Exception, arguments: Sequence[str]) -> str:
 
 
 def _report_text(error: Exception, arguments: Sequence[str]) -> str:
-    """Return the command line, the traceback and the versions as text."""
+    """Text of the error report: command line, traceback and versions."""
     return "\n".join(
         (
             f"command: {shlex.join(['trinoc', *arguments])}",
@@ -73,7 +75,9 @@ def _report_text(error: Exception, arguments: Sequence[str]) -> str:
 
 
 def _list_versions() -> str:
-    """Return what is installed; if that raises too, the version of Python and the reason."""
+    """Versions of the installed packages as text; the version of Python if they cannot be
+    determined.
+    """
     try:
         from trinoc.cli.installation import describe_installation
 

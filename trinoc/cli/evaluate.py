@@ -58,9 +58,9 @@ def evaluate(
         Table with one row of results.
     """
     if not within_mm:
-        raise UsageError("--within-mm has no distance: give one or more, or leave it out.")
+        raise UsageError("--within-mm has no distance: give at least one, or omit --within-mm.")
     if rig is None and form != "tracks":
-        raise UsageError("Lines are joined by what the cameras saw of them: add --rig.")
+        raise UsageError("Joining collinear lines needs the rig: add --rig.")
 
     from trinoc.evaluation.evaluation import EvaluationStatus
     from trinoc.io.atomic import expect_place
@@ -100,7 +100,10 @@ def _lines(
     stage: str,
     least_posterior: float,
 ) -> "UncertainLines":
-    """The compared lines, with the cameras' errors where the rig states them."""
+    """Lines to compare, with the covariance of the cameras if the rig has one.
+
+    form, stage, least_posterior : options of the command.
+    """
     import numpy as np
 
     from trinoc.evaluation.lines_of_rig import independent_lines, lines_of_form

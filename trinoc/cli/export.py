@@ -58,10 +58,15 @@ def export(
         With --from video: interval between extracted frames in seconds. 0 extracts every frame.
     """
     if (to is None) == (from_ is None):
-        raise UsageError("Give the other tool's format: --to, to write it, or --from, to read.")
+        raise UsageError(
+            "The format of the other tool is missing: add --to FORMAT to write, or --from FORMAT "
+            "to read."
+        )
     if from_ == "video":
         if unit_mm is not None or names is not None or lens:
-            raise UsageError("--unit-mm, --names and --lens go with other formats: leave them out.")
+            raise UsageError(
+                "--unit-mm, --names and --lens are not options of this format: omit these options."
+            )
         return _write_frames(files, out, every_s)
     if len(files) != 1:
         raise UsageError(f"{len(files)} files are given: give one.")
@@ -70,7 +75,7 @@ def export(
         labels = None if names is None else [name.strip() for name in names.split(",")]
         return _read(file, str(from_), out, unit_mm, _lenses(lens), labels, job)
     if names is not None or lens:
-        raise UsageError("--names and --lens go with --from: leave them out.")
+        raise UsageError("--names and --lens are options of --from: omit --names and --lens.")
     return _write(file, to, out, unit_mm, job)
 
 
@@ -87,7 +92,7 @@ def _write(file: Path, name: str, out: Path, unit_mm: float | None, job: Job) ->
     if isinstance(value, trinoc.Intrinsics) and load_lens_covariance(file) is not None:
         lost = (LOSSES["covariance"], *lost)
     if lost:
-        LOGGER.warning("%s cannot hold, and so loses: %s", target.title, "; ".join(lost))
+        LOGGER.warning("%s cannot contain, and therefore loses: %s", target.title, "; ".join(lost))
     record = {"format": target.name, "lost": list(lost)}
     return Outcome(f"{target.title}: {target.frames}", record, written=(out,))
 
@@ -136,10 +141,13 @@ def _lenses(arguments: tuple[str, ...]) -> "dict[str, trinoc.Intrinsics] | None"
 
 
 def _write_frames(arguments: tuple[str, ...], out: Path, every_s: float) -> Outcome:
-    """Write the frames of synchronized videos, in one folder per camera."""
+    """Write the frames of synchronised videos into one folder for each camera.
+
+    arguments : NAME=VIDEO. every_s : interval between frames in seconds; 0 for every frame.
+    """
     files = named_files(arguments, wanted="video")
     if len({file.resolve() for file in files.values()}) < len(files):
-        raise UsageError("Two cameras are given one video: give each its own.")
+        raise UsageError("Two cameras have the same video: give each camera its own video.")
 
     from trinoc.io.videos import compare_videos, open_videos, write_frames
 

@@ -24,7 +24,9 @@ OPENCV = (
 
 
 def describe_installation() -> tuple[str, list[str]]:
-    """(the installed versions, a line each; what to do where that is not well)."""
+    """Return the installed versions as text, and sentences on how to correct problems of the
+    installation.
+    """
     import jax
 
     import trinoc

@@ -87,7 +87,7 @@ def intrinsics(
 def _intrinsics_record(
     result: "trinoc.calib.CalibrationResult", advice: "NextShot | None"
 ) -> dict[str, Any]:
-    """Summary of a lens for programs, as JSON can hold it."""
+    """Summary of a lens calibration as a JSON object. advice : recommended next shot."""
     import numpy as np
 
     fit = result.fits[result.cameras[0]]

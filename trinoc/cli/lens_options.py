@@ -30,8 +30,8 @@ def _sigma(text: str) -> float:
 def _zero(text: str) -> float:
     if _sigma(text) > 0:
         raise ValueError(
-            "is not known here: the covariance of a lens is in its camera.json, and lens=0 takes "
-            "it as exactly what is said of it"
+            "is not supported here: the covariance of a lens is in its camera.json, and lens=0 "
+            "assumes an exact lens"
         )
     return 0.0
 
@@ -45,7 +45,7 @@ SIGMA: Mapping[str, Callable[[str], Any]] = {**BOARD_SIGMA, "aim_mm": _sigma, "l
 
 
 def print_systematics(sigma: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of `Systematics` that --sigma states of a print."""
+    """Fields of `Systematics` about the print, from the settings of --sigma."""
     fields = {name: sigma[name] for name in ("flatness_mm",) if name in sigma}
     if "print_scale" in sigma:
         fields |= {"print_scale_sigma": sigma["print_scale"], "print_size_sigma": 0.0}
@@ -53,9 +53,9 @@ def print_systematics(sigma: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def expect_pixel_pitch(pitch_mm: tuple[float, float] | None, where: str) -> None:
-    """Raise UsageError for a pitch that no sensor has, before any picture is read.
+    """Raise UsageError if no sensor has pixels of this size.
 
-    where : the beginning of the sentence.
+    where : beginning of the message.
     """
     from trinoc.io.intrinsics_json import expect_pitch
 
@@ -66,32 +66,32 @@ def expect_pixel_pitch(pitch_mm: tuple[float, float] | None, where: str) -> None
 
 
 def expect_focal_length(focal_length_mm: float) -> None:
-    """Raise UsageError for a focal length in another unit than mm, before any picture is read."""
+    """Raise UsageError if the focal length is apparently not in mm."""
     shortest, longest = FOCAL_RANGE_MM
     if focal_length_mm <= 0:
         raise UsageError(
             f"--lens-mm has a focal length of {focal_length_mm:g} mm, but must have a positive one."
         )
     for unit, factor in (("metres", 1e3), ("micrometres", 1e-3)):
-        meant = focal_length_mm * factor
+        length_mm = focal_length_mm * factor
         wrong = focal_length_mm < shortest if factor > 1 else focal_length_mm > longest
-        if wrong and shortest <= meant <= longest:
+        if wrong and shortest <= length_mm <= longest:
             raise UsageError(
                 f"--lens-mm has a focal length of {focal_length_mm:g} mm, which looks like {unit}: "
-                f"write {meant:g} millimetres."
+                f"write {length_mm:g} millimetres."
             )
 
 
 def _warn_of_sizes(sizes_px: Mapping[str, tuple[int, int]]) -> None:
-    """Pictures of one kind of camera have one size as long as nobody edits them."""
+    """Log a warning if the images of cameras with one common lens differ in size."""
     if len(set(sizes_px.values())) > 1:
         sizes = ", ".join(
             f"{name} {width} x {height}" for name, (width, height) in sizes_px.items()
         )
         LOGGER.warning(
-            "--lens-mm is the lens of all cameras, but their pictures differ in size (%s px): a "
-            "picture that was resized or turned has other pixels, one that was cut another middle. "
-            "Give each as its camera took it, or --lens NAME=camera.json for each.",
+            "--lens-mm is one lens for all cameras, but their pictures differ in size (%s px). "
+            "Give pictures that were not resized, rotated or cropped, or --lens NAME=camera.json "
+            "for each camera.",
             sizes,
         )
 
@@ -102,10 +102,28 @@ Covariances = "np.ndarray | dict[str, np.ndarray] | None"
 def read_lenses(
     arguments: tuple[str, ...], cameras: Iterable[str]
 ) -> "tuple[dict[str, trinoc.Intrinsics], Covariances]":
-    """The lens of each camera that a file is given for, one for all or NAME=FILE, and what the
-    files state of them: the covariance of the one lens of all cameras, or of each.
+    """Read the lens of each camera and the covariances of the lenses.
 
-    Raises UsageError, and InputError for a file that does not say it.
+    Parameters
+    ----------
+    arguments : tuple of str
+        One file for all cameras, or NAME=FILE for each.
+    cameras : iterable of str
+        Names of the cameras.
+
+    Returns
+    -------
+    lenses : dict of Intrinsics
+        Lens of each camera that has a file.
+    covariances
+        Covariance of the common lens, or of each camera's lens, as far as the files contain them.
+
+    Raises
+    ------
+    UsageError
+        If an argument has the wrong form.
+    InputError
+        If a file contains no lens.
     """
     import equinox as eqx
 
@@ -124,21 +142,24 @@ def read_lenses(
 
 
 class LensOptions(NamedTuple):
-    """The lens: from files, --lens, or as its data sheet has it, --lens-mm."""
+    """Options of the lens: files (--lens), or numbers of a data sheet (--lens-mm)."""
 
     lens: tuple[str, ...] = ()
     lens_mm: tuple[float, float, float] = NO_NUMBERS
 
     def check(self) -> None:
-        """Raise UsageError, before any picture is read."""
+        """Raise UsageError if the options are invalid. No image is read."""
         if self.lens_mm != NO_NUMBERS:
             expect_focal_length(self.lens_mm[0])
             expect_pixel_pitch(self.lens_mm[1:], "--lens-mm has pixels of")
 
     def lenses(self, sizes_px: Mapping[str, tuple[int, int]]) -> "dict[str, trinoc.Intrinsics]":
-        """The lens of each camera, whose pictures have these (width, height).
+        """Return the lens of each camera.
 
-        Raises UsageError where the options do not say it, InputError for a file that does not.
+        Raises UsageError if the options do not determine the lens, and InputError for an invalid
+        file.
+
+        sizes_px : (width, height) of each camera's images.
         """
         from trinoc.io.intrinsics_json import expect_lens
 
@@ -147,8 +168,8 @@ class LensOptions(NamedTuple):
             raise UsageError("Both --lens and --lens-mm are given: give one of them.")
         if not by_numbers and not self.lens:
             raise UsageError(
-                "The lens is not determined: give either --lens camera.json, or --lens-mm FOCAL "
-                "WIDTH HEIGHT."
+                "The lens is missing: give either --lens camera.json, or --lens-mm FOCAL WIDTH "
+                "HEIGHT."
             )
         if by_numbers:
             focal_mm, width_mm, height_mm = self.lens_mm
@@ -176,21 +197,22 @@ class LensOptions(NamedTuple):
     def covariance(
         self, lenses: "Mapping[str, trinoc.Intrinsics]"
     ) -> "np.ndarray | Mapping[str, np.ndarray] | None":
-        """The covariance of the one lens of all cameras, or of each that is not exact, if any.
+        """Covariance of the lens of all cameras, or of each camera's lens; None if all are exact.
 
-        What no file states is that of a data sheet, where the lens is given as one gives it.
+        A lens whose file states no covariance, or a lens of --lens-mm, has the covariance of
+        `Systematics.typical`.
         """
-        usual = trinoc.Systematics.typical(lenses).lens_covariance
+        typical = trinoc.Systematics.typical(lenses).lens_covariance
         if not self.lens:
-            return usual
+            return typical
         _, stated = read_lenses(self.lens, lenses)
         if isinstance(stated, Mapping):
             of_lenses = {name: matrix for name, matrix in stated.items() if name in lenses}
-            return {**(usual if isinstance(usual, Mapping) else {}), **of_lenses} or None
-        return usual if stated is None else stated
+            return {**(typical if isinstance(typical, Mapping) else {}), **of_lenses} or None
+        return typical if stated is None else stated
 
     def files(self) -> dict[str, Path]:
-        """The files that `lenses` reads, for provenance."""
+        """Files that `lenses` reads, by name, for the provenance."""
         if len(self.lens) == 1 and "=" not in self.lens[0]:
             return {"lens": Path(self.lens[0])}
         return {f"lens {k}": v for k, v in files_of_views(self.lens).items()}

@@ -49,15 +49,15 @@ COMMANDS = {
 
 
 def find_command(name: str) -> Callable[..., Outcome]:
-    """The function of a command. Its parameters are the options; `--help` shows its docstring."""
+    """Function of a command. Its parameters are the options, and `--help` shows its docstring."""
     module = importlib.import_module(f"trinoc.cli.{COMMANDS[name]}")
     return getattr(module, name.replace("-", "_"))
 
 
 def parse_arguments(arguments: Sequence[str]) -> inspect.BoundArguments:
-    """The call of a command that the arguments ask for.
+    """Parse the command line and return the command with its arguments.
 
-    Raises SystemExit after help, and where tyro has printed what is wrong.
+    Raises SystemExit after help, and after an error that tyro has printed.
     """
     config = (tyro.conf.FlagCreatePairsOff,)
     if arguments and arguments[0] in COMMANDS:
@@ -73,10 +73,7 @@ def parse_arguments(arguments: Sequence[str]) -> inspect.BoundArguments:
 
 
 def _binder(name: str) -> Callable[..., inspect.BoundArguments]:
-    """Make a function with the options of a command.
-
-    It does not run the command: it returns the bound arguments.
-    """
+    """Function with the options of a command that returns the bound arguments, and runs nothing."""
     command = find_command(name)
 
     def bind(*arguments: Any, **options: Any) -> inspect.BoundArguments:
@@ -130,26 +127,27 @@ def _print_version() -> int:
 
 
 def compile_quickly() -> None:
-    """Choose the quicker of XLA's code generators, and processors, unless the environment does.
+    """Choose XLA's faster code generator, and the CPU, unless environment variables choose
+    otherwise.
 
-    A GPU gives the same tracks in the same time, but programs take twice as long to compile for it,
-    and a command again 13.6 s instead of 5.3.
+    On a GPU, the tracks and the time of matching are equal, but compilation takes twice as long,
+    and a repeated command takes 13.6 s, on the CPU 5.3 s.
     """
     from trinoc.numerics.compiler_options import quick_compiling
 
-    own = os.environ.get("XLA_FLAGS", "")
+    user_flags = os.environ.get("XLA_FLAGS", "")
     flags = [
         f"--{name}={str(value).lower()}"
         for name, value in quick_compiling().items()
-        if name not in own
+        if name not in user_flags
     ]
     if flags:
-        os.environ["XLA_FLAGS"] = " ".join([*flags, own]).rstrip()
+        os.environ["XLA_FLAGS"] = " ".join([*flags, user_flags]).rstrip()
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 
 def _run(command: Callable[..., Outcome], call: inspect.BoundArguments) -> int:
-    """Run a command, print its outcome or the sentence of its error, return the exit status."""
+    """Run a command, print its output or its error, and return the exit status."""
     # Small LAPACK calls are many times slower when their threads fight over busy cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -174,9 +172,9 @@ def _run(command: Callable[..., Outcome], call: inspect.BoundArguments) -> int:
         remedy = "give a shorter name" if is_long else "check the disk"
         return _report_failure(job, f"{prefix}{error.strerror or error}: {remedy}.", status=1)
     except MemoryError:
-        return _report_failure(job, "The memory does not suffice: give smaller or fewer files.", 1)
+        return _report_failure(job, "The memory is not sufficient: give smaller or fewer files.", 1)
     except KeyboardInterrupt as stopped:
-        sentence = str(stopped) or "Interrupted: files that were not finished are not there."
+        sentence = str(stopped) or "Interrupted: unfinished files were not written."
         return _report_failure(job, sentence, 130)
     record = outcome.record
     if outcome.refusal is not None:
@@ -187,7 +185,7 @@ def _run(command: Callable[..., Outcome], call: inspect.BoundArguments) -> int:
 
 
 def _print(text: str) -> None:
-    """Print to stdout, with a question mark for what its encoding lacks."""
+    """Print to stdout. Characters that the encoding lacks become question marks."""
     if sys.stdout is None:  # closed
         return
     encoding = sys.stdout.encoding or "utf-8"

@@ -139,17 +139,19 @@ def match(
 
 
 def _check_pictures(files: Mapping[str, Path], option: str) -> None:
-    """Raise UsageError where a view is given by its segments alone."""
+    """Raise UsageError if a view has only segments, no picture. option : option that needs
+    pictures.
+    """
     for name, file in files.items():
         if file.suffix.lower() in SEGMENT_SUFFIXES:
             raise UsageError(
-                f"{option} needs pictures, but {file} of {name} holds segments: give its picture, "
-                f"or leave {option} out."
+                f"{option} needs pictures, but {file} of {name} contains segments: give the "
+                f"picture of {name}, or omit {option}."
             )
 
 
 def refusal_of(assessment: "MatchAssessment") -> str | None:
-    """Why a matching counts as failed; None where it does not."""
+    """Reason why the matching counts as failed; None for success."""
     from trinoc.match.tracks.matches import MatchStatus
 
     return assessment.deciding.explanation if assessment.status is MatchStatus.SUSPECT else None
@@ -160,7 +162,7 @@ def match_record(
     matches: "trinoc.Matches",
     assessment: "MatchAssessment",
 ) -> dict[str, Any]:
-    """Summary of a matching for programs, as JSON can hold it."""
+    """Summary of a matching as a JSON object."""
     return {
         "segments": {name: len(segments_of_view) for name, segments_of_view in segments.items()},
         "tracks": {
@@ -177,7 +179,7 @@ def match_record(
 
 
 def match_text(matches: "trinoc.Matches") -> str:
-    """Summary of a matching for people, without the verdict."""
+    """Summary of a matching as text, without the verdict."""
     from trinoc.report.text import counts_text, reasons_text
 
     in_three, in_two = (int((matches.stage == s).sum()) for s in ("trinocular", "binocular"))

@@ -39,13 +39,20 @@ _METAVAR_AND_DEFAULT = re.compile(r"(.*?) ?(\([^()]*\))?")
 
 
 class Option(NamedTuple):
-    """An option or an argument of a command, and how the help shows it.
+    """Option or argument of a command, and its description in the help.
 
-    name : name of the parameter.
-    typed : flag as the user types it, such as "--from"; "" for an argument.
-    kind : type of the parameter.
-    default_text : how the help shows the default.
-    text : help.
+    Attributes
+    ----------
+    name : str
+        Name of the parameter.
+    typed : str
+        Flag as the user types it, such as "--from"; "" for an argument.
+    kind : type
+        Type of the parameter.
+    default_text : str
+        Default as the help shows it.
+    text : str
+        Help text.
     """
 
     name: str
@@ -64,7 +71,7 @@ class Option(NamedTuple):
         return is_tuple and (self.name in REPEATED or self.kind == Settings)
 
     def annotation(self) -> Any:
-        """The type, annotated with flag, metavar, help and aliases for tyro."""
+        """Type of the option, annotated for tyro with flag, metavar, help and aliases."""
         argument = tyro.conf.arg(
             name=self.typed[2:] or None,
             metavar=self.metavar or None,
@@ -80,7 +87,7 @@ class Option(NamedTuple):
 
 @functools.cache
 def list_options(command: Callable[..., Any]) -> tuple[Option, ...]:
-    """The options of a command, those of all commands last."""
+    """Options of a command. The options that all commands have come last."""
     hints = typing.get_type_hints(command)
     described = {
         name: (slot, " ".join(text.split()))
@@ -110,7 +117,7 @@ def list_options(command: Callable[..., Any]) -> tuple[Option, ...]:
 
 
 def _usual_metavar(kind: Any) -> str:
-    """Metavar of an option whose description has none."""
+    """Metavar of an option whose docstring gives none."""
     kinds = typing.get_args(kind) if type(None) in typing.get_args(kind) else (kind,)
     if Path in kinds or tuple[Path, ...] in kinds:
         return "FILE"
@@ -126,7 +133,7 @@ def _usual_metavar(kind: Any) -> str:
 
 
 def _usual_default(default: Any) -> str:
-    """How the help shows a default; "" if tyro shows it."""
+    """Default as the help shows it; "" if tyro shows the default itself."""
     if default is inspect.Parameter.empty:
         return "(required)"
     if default is None:

@@ -115,11 +115,11 @@ def pattern(
     _expect_drawings(file, drawings, force=job.force)
     display = _read_screen(screen, is_meant=ending == ".png")
     kind, settings = _split_layout(layout)
-    chosen = read_settings("--camera", camera, _CAMERA)
+    camera_values = read_settings("--camera", camera, _CAMERA)
     proposal = None
-    if chosen:
+    if camera_values:
         _expect_free_sizes(kind, settings, rows, columns)
-        proposal = _propose_sheet(chosen, display, paper)
+        proposal = _propose_sheet(camera_values, display, paper)
     board = _make_board(kind, settings, rows, columns, proposal)
     if display is None:
         written, notes = _print(board, out, paper)
@@ -136,18 +136,21 @@ def pattern(
 
 
 class Screen(NamedTuple):
-    """A screen as target: its size, and from one of its pixels to the next."""
+    """Screen that displays a target: width and height in px, and pixel pitch in mm."""
 
     size_px: tuple[int, int]
     pitch_mm: float
 
 
 def _read_screen(arguments: tuple[tuple[str, ...], ...], *, is_meant: bool) -> Screen | None:
-    """The screen that --screen states; None where no screen is meant. Raises UsageError."""
+    """Screen of the option --screen; None if no screen is wanted. Raises UsageError.
+
+    is_meant : True if the output is an image for a screen.
+    """
     values = read_settings("--screen", arguments, _SCREEN)
     if not is_meant:
         if values:
-            raise UsageError("--screen is of a screen as target: give -o FILE.png, too.")
+            raise UsageError("--screen needs an image file as output: give -o FILE.png, too.")
         return None
     size_px = values.get("size_px", (0, 0))
     if not all(0 < side <= _MOST_PX for side in size_px):
@@ -157,7 +160,7 @@ def _read_screen(arguments: tuple[tuple[str, ...], ...], *, is_meant: bool) -> S
         )
     if ("diagonal_inch" in values) == ("pitch_mm" in values):
         raise UsageError(
-            "How large the pixels of the screen are, one of two says: give --screen "
+            "The size of the pixels of the screen needs exactly one setting: give --screen "
             "diagonal_inch=INCH, such as 24, or --screen pitch_mm=MM, such as 0.27."
         )
     pitch_mm = values.get("pitch_mm")
@@ -173,21 +176,24 @@ def _read_screen(arguments: tuple[tuple[str, ...], ...], *, is_meant: bool) -> S
 
 
 def _expect_drawings(layout: Path, endings: Sequence[str], *, force: bool) -> None:
-    """Raise InputError where a picture that no layout stands beside would be replaced."""
+    """Raise InputError if a drawing would replace an image file that has no layout of the same
+    name.
+    """
     for drawing in map(layout.with_suffix, endings):
         if drawing.exists() and not layout.exists() and not force:
             raise InputError(
-                f"{drawing} is there, and no layout {layout.name} beside it, so that it may be "
-                "something else, which would be lost: give another name, or --force."
+                f"{drawing} exists without its layout {layout.name}, so it may be another file, "
+                "which would be overwritten: give another name, or --force."
             )
 
 
 def _split_layout(arguments: tuple[str, ...]) -> tuple[str, list[str]]:
-    """The kind of board, or the file of a layout; and what is stated as NAME=VALUE."""
+    """Return the kind of board or the layout file, and the settings NAME=VALUE."""
     names = [word for word in arguments if "=" not in word]
     if len(names) > 1:
         raise UsageError(
-            f"{names[0]} and {names[1]} are two kinds: give one, and what it has as NAME=VALUE."
+            f"{names[0]} and {names[1]} are two kinds of boards: give one kind, and its settings "
+            "as NAME=VALUE."
         )
     return names[0] if names else SHEET, [word for word in arguments if "=" in word]
 
@@ -201,19 +207,20 @@ def _expect_no_counts(why: str, rows: int | None, columns: int | None) -> None:
 def _expect_free_sizes(
     kind: str, settings: list[str], rows: int | None, columns: int | None
 ) -> None:
-    """Raise UsageError where --camera stands beside what it chooses."""
+    """Raise UsageError if sizes are given in addition to --camera, which determines them."""
     if kind != SHEET:
         raise UsageError(
-            "--camera is of the sheet of circles: give square_mm or tag_mm behind the kind."
+            "--camera is an option for the sheet of circles only: for this kind of board, give "
+            "square_mm or tag_mm after the kind."
         )
     _expect_no_counts("--camera chooses them", rows, columns)
     for word in settings:
         if word.partition("=")[0] in _SHEET_SIZES:
-            raise UsageError(f"--camera chooses them: leave out {word}.")
+            raise UsageError(f"--camera determines these sizes: omit {word}.")
 
 
 def _propose_sheet(camera: dict[str, Any], screen: Screen | None, paper: Any) -> "SheetProposal":
-    """The sizes of a sheet for the camera that --camera states. Raises UsageError."""
+    """Sheet that suits the camera of the option --camera. Raises UsageError."""
     missing = [name for name in _CAMERA if name not in camera]
     if missing:
         raise UsageError(
@@ -252,14 +259,18 @@ def _make_board(
     columns: int | None,
     proposal: "SheetProposal | None",
 ) -> "AbstractBoard":
-    """The board of a kind or of a layout's file."""
+    """Board of a kind, or of a layout file.
+
+    settings : NAME=VALUE. proposal : sizes that suit the camera of --camera; None without the
+        option.
+    """
     from trinoc.calib.targets.board_set import BOARDS
     from trinoc.calib.targets.checkers import Chessboard
 
     if kind.lower().endswith(".json"):
-        _expect_no_counts(f"{kind} says it already", rows, columns)
+        _expect_no_counts(f"{kind} already states the rows and columns", rows, columns)
         if settings:
-            raise UsageError(f"{kind} says it already: leave out {settings[0]}.")
+            raise UsageError(f"{kind} already states this: omit {settings[0]}.")
         return _read_board(kind)
     if kind not in BOARDS:
         raise UsageError(
@@ -267,7 +278,7 @@ def _make_board(
         )
     for word in settings:
         if word.startswith(("rows=", "columns=")):
-            raise UsageError(f"{word} is an option of its own: write --{word}.")
+            raise UsageError(f"{word} is a separate option: write --{word}.")
     counts = {
         "rows": _COUNT if rows is None else rows,
         "columns": _COUNT if columns is None else columns,
@@ -303,7 +314,7 @@ def _read_board(file: str) -> "AbstractBoard":
 
 
 def _print(board: "AbstractBoard", out: Path, paper: Any) -> tuple[list[Path], list[str]]:
-    """Write layout and drawings on paper: the files, and what to do with them."""
+    """Write layout and drawings for printing. Return the files, and instructions for the user."""
     from trinoc.io.board_json import save_target
 
     drawing, page = out.with_suffix(".svg"), out.with_suffix(".pdf")
@@ -325,7 +336,7 @@ def _print(board: "AbstractBoard", out: Path, paper: Any) -> tuple[list[Path], l
 
 
 def _show(board: "AbstractBoard", out: Path, screen: Screen) -> tuple[list[Path], list[str]]:
-    """Write picture for the screen and layout: the files, and what to do with them."""
+    """Write the image for a screen and the layout. Return files, and instructions for the user."""
     from trinoc.io.board_json import save_target
     from trinoc.io.pattern_page import drawing_size_mm
 

@@ -35,7 +35,7 @@ def run() -> int:
         # Python collects garbage three times while it ends: a tenth of a command.
         gc.freeze()
     except KeyboardInterrupt:
-        print("trinoc: Interrupted: files that were not finished are not there.", file=sys.stderr)
+        print("trinoc: Interrupted: unfinished files were not written.", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
         # Python would complain again at exit, when it flushes what nobody reads.
@@ -59,12 +59,14 @@ def _hide_warnings() -> None:
 
 
 def _end(number: int, _: FrameType | None) -> None:
-    """Unwind as Ctrl-C does, so that scratch files go."""
+    """Signal handler that raises SystemExit, so that temporary files are removed."""
     raise SystemExit(128 + number)
 
 
 def _without_closed_streams() -> None:
-    """Output that was closed (`>&-`) goes nowhere; Python has None there."""
+    """Replace standard streams that the shell closed (`>&-`), which are None in Python, by null
+    devices.
+    """
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115

@@ -77,7 +77,7 @@ def refine(
 
 
 def _refine_record(result: "trinoc.calib.RefineResult") -> dict[str, Any]:
-    """Summary of a refinement for programs, as JSON can hold it."""
+    """Summary of a refinement as a JSON object."""
     variances = result.covariance.diagonal()
     return {
         "status": result.status.name.lower(),

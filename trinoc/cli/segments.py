@@ -85,17 +85,17 @@ FIND: Mapping[str, Callable[[str], Any]] = {
 
 
 def find_settings(find: Settings) -> dict[str, Any]:
-    """All settings of `find_segments` that --find states, or the usual ones. Raises UsageError."""
-    usual = {name: inspect.signature(segments).parameters[name].default for name in FIND}
-    settings = {**usual, **read_settings("--find", find, FIND)}
+    """All settings of `find_segments`: those of --find, and the defaults. Raises UsageError."""
+    defaults = {name: inspect.signature(segments).parameters[name].default for name in FIND}
+    settings = {**defaults, **read_settings("--find", find, FIND)}
     _expect_find(settings, lambda name: f"--find {name}")
     return settings
 
 
 def _expect_find(settings: Mapping[str, Any], spell: Callable[[str], str]) -> None:
-    """Raise UsageError for settings that no search can follow, before any work starts.
+    """Raise UsageError for invalid settings of the segment detection.
 
-    spell : how the command line writes the name of a setting.
+    spell : function that returns the name of a setting as the user types it.
     """
     for name in ("tolerance_px", "false_alarms"):
         if not settings[name] > 0:
@@ -118,12 +118,11 @@ ANYWHERE = (0.0, math.inf)
 
 
 def depth_range(depths_mm: tuple[float, float]) -> tuple[float, float] | None:
-    """The range of --depth-range-mm, or None where all depths are allowed. Raises UsageError."""
+    """Range of --depth-range-mm in mm; None if all depths are allowed. Raises UsageError."""
     smallest_mm, largest_mm = depths_mm
     if not 0 <= smallest_mm < largest_mm:
         raise UsageError(
-            f"--depth-range-mm {smallest_mm:g} {largest_mm:g} holds no depth: give the least, then "
-            "the "
-            "greatest, in mm."
+            f"--depth-range-mm {smallest_mm:g} {largest_mm:g} contains no depth: give the "
+            "smallest, then the largest depth, in mm."
         )
     return None if depths_mm == ANYWHERE else depths_mm

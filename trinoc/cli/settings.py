@@ -30,10 +30,13 @@ Parsers = Mapping[str, Callable[[str], Any]]
 
 
 def read_settings(option: str, words: Iterable[Iterable[str]], parsers: Parsers) -> dict[str, Any]:
-    """The settings that an option states, by name.
+    """Settings NAME=VALUE of an option, parsed, by name.
 
-    Raises UsageError for a name that the option does not have, one without a value or given twice,
-    and a value that its parser refuses.
+    Raises UsageError for an unknown name, a name without a value or given twice, and an invalid
+    value.
+
+    words : arguments of each occurrence of the option.
+    parsers : function for each name that converts the text of the value.
     """
     values: dict[str, Any] = {}
     for word in (word for group in words for word in group):
@@ -42,9 +45,11 @@ def read_settings(option: str, words: Iterable[Iterable[str]], parsers: Parsers)
         if name not in parsers:
             close_names = difflib.get_close_matches(name, parsers, n=1)
             advice = (
-                f"write {close_names[0]}=VALUE" if close_names else f"it has {', '.join(parsers)}"
+                f"write {close_names[0]}=VALUE"
+                if close_names
+                else f"the settings are {', '.join(parsers)}"
             )
-            files = "; files stand before the options" if option.startswith("--") else ""
+            files = "; write files before the options" if option.startswith("--") else ""
             raise UsageError(f'{option} has no setting "{name}": {advice}{files}.')
         if not (separator and text):
             raise UsageError(f"{option} {word} has no value: write {name}=VALUE.")
@@ -58,10 +63,10 @@ def read_settings(option: str, words: Iterable[Iterable[str]], parsers: Parsers)
 
 
 def put_files_first(command: Callable[..., Any], arguments: Sequence[str]) -> list[str]:
-    """The words behind a command, with every NAME=FILE that stands between options moved before.
+    """Move every NAME=FILE argument that stands between options to the front.
 
-    What an option takes stays behind it: the one word that follows it, and settings. As many
-    numbers as an option takes may stand in one word, with commas between.
+    The value of an option stays behind the option: one word, or its settings NAME=VALUE. Options
+    with several numbers also accept one word with commas.
     """
     kinds = {option.typed: option.kind for option in list_options(command)}
     flags = {option for option, kind in kinds.items() if kind is bool}
@@ -84,13 +89,13 @@ def put_files_first(command: Callable[..., Any], arguments: Sequence[str]) -> li
 
 
 def _count_numbers(kind: Any) -> int:
-    """Number of numbers in a value of an option of this type; 0 for other types."""
+    """How many numbers an option of this type takes; 0 for other types."""
     alternatives = map(typing.get_args, (kind, *typing.get_args(kind)))
     return next((len(values) for values in alternatives if set(values) == {float}), 0)
 
 
 def parse_number(text: str) -> float:
-    """A finite number."""
+    """Convert a text to a finite number. Raises ValueError."""
     try:
         number = float(text)
     except ValueError:
@@ -101,7 +106,7 @@ def parse_number(text: str) -> float:
 
 
 def parse_integer(text: str) -> int:
-    """A whole number."""
+    """Convert a text to a whole number. Raises ValueError."""
     number = parse_number(text)
     if number != int(number):
         raise ValueError("is no whole number: give one")
@@ -109,7 +114,7 @@ def parse_integer(text: str) -> int:
 
 
 def parse_truth(text: str) -> bool:
-    """yes or no."""
+    """Convert "yes" or "no" to a truth value. Raises ValueError."""
     truths = {"yes": True, "true": True, "no": False, "false": False}
     if text.lower() not in truths:
         raise ValueError("is neither yes nor no: give one of them")
@@ -117,9 +122,9 @@ def parse_truth(text: str) -> bool:
 
 
 def parse_pair(parse: Callable[[str], Any]) -> Callable[[str], tuple[Any, Any]]:
-    """Make a parser of two values, such as 1280,960 or 1280x960, from the parser of one.
+    """Return a parser of two values, such as 1280,960 or 1280x960, made from a parser of one value.
 
-    A single value stands for both.
+    If the text has a single value, the pair contains it twice.
     """
 
     def parse_two(text: str) -> tuple[Any, Any]:
@@ -132,7 +137,7 @@ def parse_pair(parse: Callable[[str], Any]) -> Callable[[str], tuple[Any, Any]]:
 
 
 def parse_word(*words: str) -> Callable[[str], str]:
-    """The parser of one word of these."""
+    """Return a parser that accepts only these words."""
 
     def parse_one(text: str) -> str:
         if text not in words:
@@ -153,11 +158,11 @@ ALTERNATIVES = (
 
 
 def with_file(arguments: Sequence[str], file: Path = SETTINGS_FILE) -> list[str]:
-    """The arguments, with the file's values for options that are not among them.
+    """Return the arguments, with values from a settings file for options that are not given.
 
-    arguments : files before options, as `put_files_first` has them.
+    Raises UsageError if the file cannot be read.
 
-    Raises UsageError for a file that cannot be read.
+    arguments : files before options, as `put_files_first` returns them.
     """
     if not arguments or {"--help", "-h"} & set(arguments) or not file.is_file():
         return list(arguments)
@@ -182,7 +187,7 @@ def with_file(arguments: Sequence[str], file: Path = SETTINGS_FILE) -> list[str]
 
 
 def _option_words(option: str, value: object) -> list[str]:
-    """The option and its value as they are typed."""
+    """Option and its value as words of a command line."""
     if isinstance(value, bool):
         return [option] if value else []
     if option[2:] in REPEATED:
@@ -191,7 +196,7 @@ def _option_words(option: str, value: object) -> list[str]:
 
 
 def _words(value: object) -> list[str]:
-    """A table as NAME=VALUE, a list word by word, anything else as one word."""
+    """Value as words of a command line: a table becomes NAME=VALUE, a list one word per item."""
     if isinstance(value, dict):
         return [f"{name}={_word(each)}" for name, each in value.items()]
     return [str(each) for each in value] if isinstance(value, list) else [str(value)]

@@ -49,7 +49,7 @@ def undistort(
     if not isinstance(cameras, trinoc.Intrinsics):
         raise UsageError(f"{rig} holds neither a rig nor a lens: give one of them.")
     if rectify:
-        raise UsageError(f"--rectify is of a rig, but {rig} holds one lens: leave it out.")
+        raise UsageError(f"--rectify needs a rig, but {rig} contains one lens: omit --rectify.")
     warn_of_folds(cameras, rig)
     return _undistort_lens(cameras, [Path(image) for image in images], rig, alpha, out, job)
 
@@ -74,23 +74,23 @@ def _undistort_rig(
     pictures = trinoc.io.read_views(files)
     for view, picture in pictures.items():
         expect_size(view, picture, rig)
-    chosen = trinoc.Rig(
+    rig_of_views = trinoc.Rig(
         {view: rig[view] for view in files}, parameters=rig.parameters, covariance=rig.covariance
     )
-    ideal = (trinoc.rectify if is_rectified else trinoc.undistort)(chosen, alpha=alpha)
+    ideal = (trinoc.rectify if is_rectified else trinoc.undistort)(rig_of_views, alpha=alpha)
     notes, has_sigmas = [*ideal.notes], bool(ideal.rig.parameters)
     if rig.parameters and not has_sigmas:
         parameters = [name.rpartition(".") for name in rig.parameters]
         is_open = any(
             parameter not in PARAMETER_NAMES for view, _, parameter in parameters if view in files
         )
-        why = (
-            f"errors of the lenses, which {rig_file} has, bend the rays of a picture as no ideal "
-            "camera does"
+        reason = (
+            f"{rig_file} has errors of the lenses, which the new cameras without distortion cannot "
+            "contain"
             if is_open
-            else "an axis does not meet the sheet"
+            else "an optical axis does not meet the sheet"
         )
-        notes.append(f"The new rig has no sigmas: {why}.")
+        notes.append(f"The new rig has no sigmas: {reason}.")
     make_folder(out)
     for view in job.each(tuple(files), "undistorting"):
         trinoc.save(ideal.maps[view], maps[view], overwrite=True)
@@ -128,7 +128,7 @@ def _undistort_lens(
         if size != lens.image_size_px:
             sizes = [f"{width} x {height} px" for width, height in (size, lens.image_size_px)]
             raise InputError(
-                f"{file} is {sizes[0]}, but {lens_file} is of pictures of {sizes[1]}: give "
+                f"{file} is {sizes[0]}, but {lens_file} is for pictures of {sizes[1]}: give "
                 "pictures of that size."
             )
     ideal = trinoc.undistort(lens, alpha=alpha)
@@ -137,15 +137,16 @@ def _undistort_lens(
     trinoc.save(ideal.maps, maps, overwrite=True)
     for picture, file in job.each(new.items(), "undistorting"):
         trinoc.io.write_picture(picture, ideal.maps.resample(trinoc.io.read_image(file)))
-    named = {"lens": ideal.lens}
-    record = _record(named, {}, {"lens": maps})
-    return Outcome(_table(named, {"lens": ideal.maps}), record, written=(*new, maps, place))
+    lenses = {"lens": ideal.lens}
+    record = _record(lenses, {}, {"lens": maps})
+    return Outcome(_table(lenses, {"lens": ideal.maps}), record, written=(*new, maps, place))
 
 
 def _new_pictures(out: Path, files: Collection[Path], views: Iterable[str] = ()) -> list[Path]:
-    """The files of the new pictures: their names, behind those of the views where they are equal.
+    """Files of the new images, named after the original files.
 
-    Raises UsageError where two would have one name.
+    The name of the view precedes names that are equal. Raises UsageError if two images would have
+    one name.
     """
     from trinoc.io.atomic import as_file_name
 
@@ -157,8 +158,8 @@ def _new_pictures(out: Path, files: Collection[Path], views: Iterable[str] = ())
     for k, path in enumerate(new):
         if path in new[:k]:
             raise UsageError(
-                f"{files[new.index(path)]} and {files[k]} would both become {path}: give "
-                "pictures with names of their own."
+                f"{files[new.index(path)]} and {files[k]} would both become {path}: give pictures "
+                "with different names."
             )
     return new
 
@@ -171,23 +172,27 @@ def _expect_places(
     cameras: Mapping[Path, type],
     job: Job,
 ) -> None:
-    """Raise UsageError or InputError where something would be lost."""
+    """Raise UsageError or InputError if the command would overwrite an input or a file of another
+    kind.
+    """
     from trinoc.image.ideal_pictures import PictureMaps
 
     if out.exists() and not out.is_dir():
-        raise UsageError(f"--out is {out}, which is no folder: give one.")
+        raise UsageError(f"--out is {out}, which is not a folder: give a folder.")
     kinds = {**dict.fromkeys(maps, PictureMaps), **cameras}
-    taken = {file.resolve() for file in read}
+    input_files = {file.resolve() for file in read}
     for path in (*pictures, *kinds):
-        if path.resolve() in taken:
-            raise UsageError(f"{path} is read, and would be lost: give another --out.")
+        if path.resolve() in input_files:
+            raise UsageError(f"{path} is an input and would be overwritten: give another --out.")
     # A folder with maps is one that this command wrote before.
     is_ours = all(path.exists() for path in kinds)
     for path, kind in kinds.items() if out.exists() else ():
         job.expect(kind, path)
     for path in pictures:
         if path.exists() and not (is_ours or job.force):
-            raise InputError(f"{path} is there and would be lost: give another --out, or --force.")
+            raise InputError(
+                f"{path} exists and would be overwritten: give another --out, or --force."
+            )
 
 
 def _table(lenses: "Mapping[str, trinoc.Intrinsics]", maps: "Mapping[str, PictureMaps]") -> str:
@@ -211,7 +216,7 @@ def _record(
     pictures: Mapping[str, Path],
     maps: Mapping[str, Path],
 ) -> dict[str, Any]:
-    """Summary of the new cameras for programs, as JSON can hold it."""
+    """Summary of the new cameras as a JSON object."""
     cameras = {
         name: {
             "image_size_px": list(lens.image_size_px),

@@ -22,12 +22,12 @@ _BETWEEN = "_-. "
 def files_of_views(
     arguments: Sequence[str], *, guess: bool = False, words: Mapping[str, str] | None = None
 ) -> dict[str, Path]:
-    """The file of each view, in the order of the arguments.
+    """File of each view, in the order of the arguments.
 
-    guess : where no argument has a name, take the names from those of the files.
-    words : the camera of a rig that each word names, where there is a rig.
+    Raises UsageError if an argument has the wrong form.
 
-    Raises UsageError.
+    guess : True to take the names from the file names if no argument has a name.
+    words : camera of the rig for each word that may name it; None without a rig.
     """
     named = [_name_and_file(argument, words) for argument in arguments]
     if guess and arguments and all(not separator for _, separator, _ in named):
@@ -47,7 +47,12 @@ def files_of_views(
 def named_files(
     arguments: Sequence[str], *, wanted: str = "picture", log: bool = True
 ) -> dict[str, Path]:
-    """`files_of_views` with guessed names, which the log repeats. UsageError for no file."""
+    """File of each camera. If no argument has a name, names are taken from the file names.
+
+    Raises UsageError if there is no file.
+
+    wanted : kind of file in the message. log : True to log the names.
+    """
     if not arguments:
         raise UsageError(f"No {wanted} is given: write NAME=FILE for each camera.")
     files = files_of_views(arguments, guess=True)
@@ -57,14 +62,17 @@ def named_files(
 
 
 def _log_names(arguments: Sequence[str], files: Mapping[str, Path]) -> None:
-    """Log the names that cameras have from their files."""
+    """Log the names of cameras that were taken from their file names."""
     if not any("=" in argument for argument in arguments):
         names = " ".join(f"{name}={file}" for name, file in files.items())
         LOGGER.info("cameras are named after their files: %s", names)
 
 
 def _name_and_file(argument: str, words: Mapping[str, str] | None) -> tuple[str, str, str]:
-    """NAME, = and FILE of an argument; the name of a camera may hold an = itself."""
+    """Split an argument NAME=FILE into name, "=" and file. The name itself may contain "=".
+
+    words : camera of the rig for each word that may name it; None without a rig.
+    """
     parts = argument.split("=")
     for k in range(1, len(parts)):
         name = "=".join(parts[:k])
@@ -74,19 +82,22 @@ def _name_and_file(argument: str, words: Mapping[str, str] | None) -> tuple[str,
 
 
 def _guess_names(files: Sequence[Path]) -> dict[str, Path]:
-    """Named after what differs between the files' names, or the folders' where the names agree."""
+    """Name each camera by the part of its file name that differs, or of its folder if the names
+    agree.
+    """
     for candidates in ([file.stem for file in files], [file.parent.name for file in files]):
         names = _differing(candidates)
         if all(names) and len(set(names)) == len(names):
             return dict(zip(names, files, strict=True))
     raise UsageError(
-        f"The names of the files do not tell cameras apart: write NAME=FILE, such as "
-        f"upper={files[0]}."
+        f"The file names do not distinguish the cameras: write NAME=FILE, such as upper={files[0]}."
     )
 
 
 def _differing(words: Sequence[str]) -> list[str]:
-    """The words without what all begin and end with, cut where a part of a name ends."""
+    """Words without their common beginning and end. The cuts are at separators between parts of a
+    name.
+    """
     if len(words) == 1:
         return list(words)
     begin = _shared_parts(words)
@@ -96,19 +107,18 @@ def _differing(words: Sequence[str]) -> list[str]:
 
 
 def _shared_parts(words: Sequence[str]) -> str:
-    """The beginning of all words, as far as the last sign between parts.
+    """Common beginning of all words, up to the last separator between parts.
 
-    Of sheet_left and sheet_low it is "sheet_", not "sheet_l".
+    For "sheet_left" and "sheet_low" it is "sheet_", not "sheet_l".
     """
     shared = os.path.commonprefix(words)  # noqa: RUF071, letter by letter
     return shared[: max(shared.rfind(sign) for sign in _BETWEEN) + 1]
 
 
 def files_of_rig(arguments: Sequence[str], names: Collection[str]) -> dict[str, Path]:
-    """Files for the cameras of a rig, named by any of `camera_aliases`.
+    """File of each camera of a rig. Cameras may have any name of `camera_aliases`.
 
-    Where no name is given, it is in the path of the file, or the file's name holds it.
-    Raises UsageError.
+    Without NAME=, the camera is found in the path of the file. Raises UsageError.
     """
     from trinoc.recording.camera_aliases import camera_aliases
 
@@ -129,9 +139,11 @@ def files_of_rig(arguments: Sequence[str], names: Collection[str]) -> dict[str, 
 
 
 def _camera_of_file(file: Path, words: Mapping[str, str]) -> str | None:
-    """The only camera that the end of a path names, or a part of the file's name; None for none.
+    """Only camera that is named by the end of a path or by a part of the file name; else None.
 
-    Of words in the name, one that is a part of a longer one does not count.
+    A word that is a part of a longer word in the file name is ignored.
+
+    words : camera for each word.
     """
     path, stem = f"/{file.as_posix()}", file.stem.lower()
     ends = (path, path.removesuffix(file.suffix))
@@ -145,7 +157,7 @@ def _camera_of_file(file: Path, words: Mapping[str, str]) -> str | None:
 
 
 def make_folder(folder: Path) -> None:
-    """The folder that --out names, where it is not there. Raises InputError."""
+    """Create the folder of --out if it does not exist. Raises InputError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -155,9 +167,10 @@ def make_folder(folder: Path) -> None:
 
 
 def read_rig(file: str | os.PathLike[str]) -> "trinoc.Rig":
-    """The rig of a file; warnings on stderr name lenses that fold in the corners of the picture.
+    """Read a rig, and log warnings.
 
-    They also repeat what the calibration doubted.
+    The warnings name lenses that fold in the corners of the image, and cameras whose calibration
+    was suspect.
     """
     rig = trinoc.load_rig(file)
     warn_of_folds(rig, file)
@@ -172,7 +185,9 @@ def warn_of_folds(
     value: "trinoc.Rig | trinoc.Intrinsics | Mapping[str, trinoc.Intrinsics]",
     file: str | os.PathLike[str],
 ) -> None:
-    """Log a warning for each lens of a file that folds in the corners of the picture."""
+    """Log a warning for each lens that folds in the corners of the image. file : source of the
+    lenses.
+    """
     from trinoc.io.intrinsics_json import fold_notes
 
     for note in fold_notes(value):
@@ -180,21 +195,21 @@ def warn_of_folds(
 
 
 def find_doubts(file: str | os.PathLike[str]) -> dict[str, str]:
-    """For each camera whose calibration was suspect, why."""
+    """Reason for each camera of a rig file whose calibration was suspect."""
     from trinoc.io.rig_json import load_rig_status
 
     return load_rig_status(file).doubts
 
 
 def doubts_table(file: str | os.PathLike[str]) -> "list[ExtraTable]":
-    """The same for a report: a table, or none where nothing was doubted."""
+    """Table for the report with the cameras whose calibration was suspect; empty without any."""
     rows = list(find_doubts(file).items())
     if not rows:
         return []
 
     from trinoc.report.html import ExtraTable
 
-    caption = "The segments in space inherit these errors, which their sigmas do not hold."
+    caption = "The sigmas of the 3-D segments do not include the resulting errors."
     return [ExtraTable("SUSPECT cameras", ("camera", "why"), rows, caption)]
 
 
@@ -207,7 +222,12 @@ def read_segments(
     find: "Callable[[np.ndarray], trinoc.Segments]",
     job: Job,
 ) -> "tuple[dict[str, np.ndarray], dict[str, trinoc.Segments]]":
-    """(the pictures among the files, the segments of all): read, or found in the pictures."""
+    """Return the pictures among the files, and the segments of all views.
+
+    Segments are read from files of segments, or detected in pictures.
+
+    find : function that detects segments in a picture.
+    """
     from trinoc.image.grey import describe_mixed_pixels, grey_image
     from trinoc.io.images import expect_inside, expect_size
 
@@ -236,12 +256,12 @@ def read_segments(
 def _warn_of_nothing(name: str, image: "np.ndarray | None", file: Path) -> None:
     from trinoc.segments.nothing_found import why_nothing
 
-    why = "The table is empty." if image is None else why_nothing(image)
-    LOGGER.warning('no segment in %s, the picture of "%s": %s', file, name, why)
+    reason = "The table is empty." if image is None else why_nothing(image)
+    LOGGER.warning('no segment in %s, the picture of "%s": %s', file, name, reason)
 
 
 def expect_names(files: Mapping[str, Path], rig: "trinoc.Rig", rig_file: Path) -> None:
-    """Raise InputError for a view that is no camera of the rig."""
+    """Raise InputError if a view is not a camera of the rig."""
     for name in files:
         if name not in rig.names:
             raise InputError(
@@ -250,7 +270,10 @@ def expect_names(files: Mapping[str, Path], rig: "trinoc.Rig", rig_file: Path) -
 
 
 def check_views(files: Mapping[str, Path], rig: "trinoc.Rig", rig_file: Path) -> None:
-    """Raise InputError where the views given are not the cameras of the rig."""
+    """Raise InputError if a view is not a camera of the rig, or if two views are not the whole rig.
+
+    If three or more views are given, missing cameras are only logged.
+    """
     expect_names(files, rig, rig_file)
     missing = [name for name in rig.names if name not in files]
     if missing and len(files) < 3:
@@ -259,7 +282,7 @@ def check_views(files: Mapping[str, Path], rig: "trinoc.Rig", rig_file: Path) ->
             f"add {missing[0]}=FILE."
         )
     if missing:
-        LOGGER.warning("no picture of %s: matching without", list_names(missing))
+        LOGGER.warning("no picture of %s: matching uses the other cameras", list_names(missing))
 
 
 # After a knock the matcher first takes the ends of segments to be this far off. With 8 px it finds
@@ -268,7 +291,19 @@ TOLERANT_SIGMA_PX = 4.0
 
 
 class SceneInput(NamedTuple):
-    """Matches made with the rig given, ways to match again (none for matches), and the files."""
+    """Matches of a scene, and functions that match again with another rig.
+
+    Attributes
+    ----------
+    matches : Matches
+        Matches that were made with the given rig.
+    tolerant, strict : callable, optional
+        Functions that match the segments with a rig, with a large sigma of the segments or the
+        stated
+        one. None if the matches were read from a file.
+    files : dict of Path
+        Input files by name.
+    """
 
     matches: "trinoc.Matches"
     tolerant: "Callable[[trinoc.Rig], trinoc.Matches] | None"
@@ -279,17 +314,21 @@ class SceneInput(NamedTuple):
 def read_scene(
     pictures: Sequence[str], matches: Path | None, rig: "trinoc.Rig", rig_file: Path, job: Job
 ) -> SceneInput:
-    """Read the matches, or the pictures or segments. Raises UsageError, InputError."""
+    """Read the matches of a scene, or match its pictures or segments. Raises UsageError or
+    InputError.
+    """
     if bool(pictures) == (matches is not None):
         raise UsageError(
-            "Give either NAME=FILE for each camera, its picture or segments of the scene, or "
-            "--matches FILE."
+            "Give either NAME=FILE for each camera, with its picture of the scene or its segments, "
+            "or --matches FILE."
         )
     if matches is not None:
         tracks = trinoc.load_matches(matches)
-        others = [name for name in rig if name not in tracks.views]
-        if others:
-            LOGGER.warning("%s has no view of %s: left out", matches, list_names(others))
+        cameras_without_view = [name for name in rig if name not in tracks.views]
+        if cameras_without_view:
+            LOGGER.warning(
+                "%s has no view of %s: left out", matches, list_names(cameras_without_view)
+            )
         return SceneInput(tracks, None, None, {"matches": matches})
     files = files_of_rig(pictures, rig.names)
     check_views(files, rig, rig_file)

@@ -63,7 +63,9 @@ def watch(
         raise UsageError(f"--every-s is {every_s:g}: give seconds, such as 1.")
     number = None if port == "none" else _read_port(port)
     if report is not None and out is None:
-        raise UsageError("--report is of a calibration: say by -o where the rig goes.")
+        raise UsageError(
+            "--report needs a calibration of a rig: give the output file of the rig with -o."
+        )
     sources_of_views = _places(sources)
     kind = _kind(sources_of_views, once=once, keep=keep)
     target = _target(board)
@@ -92,7 +94,7 @@ def watch(
 
 
 def _places(sources: tuple[str, ...]) -> dict[str, str]:
-    """The source of each camera; of one without a name under ""."""
+    """Source of each camera; a single camera without a name has the name ""."""
     if not sources:
         raise UsageError("No source is given: give a folder, a camera's number, or a video.")
     if len(sources) == 1 and "=" not in sources[0]:
@@ -101,7 +103,10 @@ def _places(sources: tuple[str, ...]) -> dict[str, str]:
 
 
 def _kind(sources: Mapping[str, str], *, once: bool, keep: Path | None) -> str:
-    """ "camera", "video" or "folder"; raises UsageError for options that do not go with it."""
+    """Kind of the sources: "camera", "video" or "folder".
+
+    Raises UsageError if the kinds differ, or if an option does not apply to this kind.
+    """
     from trinoc.serving.sources import find_kind
 
     kinds = {find_kind(source) for source in sources.values()}
@@ -109,17 +114,22 @@ def _kind(sources: Mapping[str, str], *, once: bool, keep: Path | None) -> str:
         for source in sources.values():
             if not (source.isdecimal() or Path(source).exists()):
                 raise UsageError(f"{source} does not exist: check the name.")
-        raise UsageError("Cameras, folders and videos do not go together: give one kind.")
+        raise UsageError(
+            "Cameras, folders and videos cannot be combined: give sources of one kind."
+        )
     if len({int(p) if p.isdecimal() else Path(p) for p in sources.values()}) < len(sources):
-        raise UsageError("Two cameras are given one source: give each its own.")
+        raise UsageError("Two cameras have the same source: give each camera its own source.")
     (kind,) = kinds
     if once and kind != "folder":
         raise UsageError(
-            "--once goes with a folder: a camera has always one more picture, and a video ends "
-            "by itself."
+            "--once is an option for folders: a camera always has a next picture, and a video ends "
+            "by itself. Omit --once."
         )
     if keep is not None and kind == "folder" and "" in sources:
-        raise UsageError("--keep goes with a camera: the pictures of a folder are kept there.")
+        raise UsageError(
+            "--keep is an option for cameras: the pictures of a folder remain in the folder. Omit "
+            "--keep."
+        )
     return kind
 
 
@@ -127,8 +137,8 @@ def _target(board: Path) -> "AbstractTarget":
     target = trinoc.io.load_target(board)
     if isinstance(target, trinoc.calib.BoardSet):
         raise UsageError(
-            f"{board} holds several boards, and one is watched at a time: give the layout of one "
-            "of them."
+            f"{board} contains several boards, but only one can be watched: give the layout of one "
+            "board."
         )
     return target
 
@@ -136,13 +146,13 @@ def _target(board: Path) -> "AbstractTarget":
 def _expect_results(
     out: Path | None, report: Path | None, sources: tuple[str, ...], is_lens: bool, job: Job
 ) -> None:
-    """Raise InputError, before anything is watched, for results that cannot be written."""
+    """Raise InputError or UsageError if the results cannot be written."""
     if out is None:
         return
     if is_lens and report is not None:
         raise UsageError(
-            "Of a camera without a name comes a lens, which has no report: name it, such as "
-            f"camera={sources[0]}, and a rig of one comes."
+            "A camera without a name gives only a lens, which has no report: name the camera, such "
+            f"as camera={sources[0]}, to calibrate a rig of one camera."
         )
     job.expect(trinoc.Intrinsics if is_lens else trinoc.Rig, out, report)
 
@@ -150,7 +160,7 @@ def _expect_results(
 def _open_kept(
     sources: Mapping[str, str], kind: str, keep: Path | None, out: Path | None
 ) -> "KeptShots | None":
-    """The folder of kept shots: that of --keep, or one beside the result."""
+    """Folder of saved shots: that of --keep, or one named after the result; None without both."""
     from trinoc.serving.kept_shots import KeptShots
 
     if keep is not None:
@@ -158,7 +168,7 @@ def _open_kept(
         watched = {Path(source).resolve() for source in sources.values()}
         if watched & {source.resolve() for source in saved_shots.folders.values()}:
             raise UsageError(
-                f"--keep {keep} would write into a folder that is watched: give another."
+                f"--keep {keep} would write into a folder that is watched: give another folder."
             )
         return saved_shots
     if out is None or (kind == "folder" and "" in sources):
@@ -166,15 +176,15 @@ def _open_kept(
     saved_shots = KeptShots(out.with_name(f"{out.stem}_shots"), tuple(sources))
     if saved_shots.names():
         raise UsageError(
-            f"{saved_shots.folder} holds {len(saved_shots.names())} shots of an earlier run: go on "
-            "with them "
-            f"by --keep {shlex.quote(str(saved_shots.folder))}, or give another folder."
+            f"{saved_shots.folder} contains {len(saved_shots.names())} shots of an earlier run: "
+            f"continue that run with --keep {shlex.quote(str(saved_shots.folder))}, or give "
+            "another folder."
         )
     return saved_shots
 
 
 def _look(session: "WatchSession", moments: "Iterator[Moment]", *, must_go_on: bool) -> None:
-    """Judge all moments, until interrupted or to the end."""
+    """Evaluate all moments, until they end or the user presses Ctrl-C."""
     try:
         if session.kept is not None:
             for moment in session.kept.read():
@@ -196,7 +206,7 @@ def _summary(session: "WatchSession") -> Outcome:
 
 
 class _Calibration(NamedTuple):
-    """The calibration with the shots of a session, whose page follows it."""
+    """Calibration with the shots of a watch session; the session's page shows its progress."""
 
     session: "WatchSession"
     source: Path
@@ -207,7 +217,7 @@ class _Calibration(NamedTuple):
     job: Job
 
     def run(self) -> Outcome:
-        """Calibrate where the shots suffice: the outcome of the session and of the calibration."""
+        """Calibrate if there are enough shots. Return the outcome of session and calibration."""
         from trinoc.capture.shots import find_missing
 
         session, summary = self.session, _summary(self.session)
@@ -215,7 +225,7 @@ class _Calibration(NamedTuple):
         if missing is not None:
             return self._refuse(summary, missing)
         LOGGER.info("calibrating with %d shots", len(session.informative_shots))
-        session.announce("Calibrating with what was kept ...")
+        session.announce("Calibrating with the kept shots ...")
         try:
             outcome = self._calibrate_rig() if session.is_named else self._calibrate_lens()
         except TrinocError as error:
@@ -275,30 +285,36 @@ class _Calibration(NamedTuple):
         return summary._replace(refusal=f"{why} {self._way_on()}")
 
     def _way_on(self) -> str:
-        """The place of the shots, and what to type to go on with them."""
+        """Sentence with the folder of the shots and the command that continues with them."""
         command_line = self.job.command_line
         if self.session.kept is None:
-            return f"The pictures are where they were; go on by: {command_line}"
+            return f"The pictures remain in their folder. To continue, run: {command_line}"
         folder = shlex.quote(str(self.session.kept.folder))
-        more = "" if self.keep is not None else f" --keep {folder}"
-        return f"The shots are kept in {folder}; go on by: {command_line}{more}"
+        keep_option = "" if self.keep is not None else f" --keep {folder}"
+        return f"The shots are kept in {folder}. To continue, run: {command_line}{keep_option}"
 
 
 def _read_port(port: str | int) -> int:
-    """Return the port number, 0 for a free one.
+    """Port number; 0 for a free port.
 
     Raises UsageError here, because an error in the server's thread would leave the command waiting.
     """
     if isinstance(port, str):
         return 0
     if not 0 <= port <= 65535:
-        raise UsageError(f"--port is {port}: give one up to 65535, or leave it out for a free one.")
+        raise UsageError(
+            f"--port is {port}: give a port up to 65535, or omit --port for a free port."
+        )
     return port
 
 
 def _show(url: str, browser: bool) -> None:
-    """Print the page's address on stderr, also with `--quiet`: nothing else can be done without."""
-    print(f"trinoc: open {url} in a browser; Ctrl-C ends it", file=sys.stderr, flush=True)
+    """Print the address of the page to stderr. It is printed even with `--quiet`, because it is
+    needed.
+
+    browser : True to open the page in a browser.
+    """
+    print(f"trinoc: open {url} in a browser; press Ctrl-C to stop", file=sys.stderr, flush=True)
     if browser:
         import webbrowser
 

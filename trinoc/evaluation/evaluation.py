@@ -236,7 +236,7 @@ def _as_shape(shape: KnownShape | SceneTruth | ArrayLike) -> KnownShape:
         return KnownShape.of_scene(shape)
     if isinstance(shape, KnownShape):
         return shape
-    edges = _as_ends(shape, "known edges", "what load_shape reads from a file")
+    edges = _as_ends(shape, "known edges", "the result of load_shape")
     if not np.isfinite(edges).all():
         raise InputError("The known edges have ends that are not finite. Remove such edges.")
     return KnownShape.of_edges(edges)

@@ -32,7 +32,7 @@ from trinoc.numerics.values import Value
 A_LENS = "trinoc.Intrinsics, such as load reads from a camera.json"
 # Remedy for a user's lens that folds the image.
 FOLD_REMEDY = (
-    "check the distortion's coefficients, their order, signs and unit, or fit fewer of them."
+    "check the order, signs and unit of the distortion coefficients, or fit fewer coefficients."
 )
 # A fold makes a lens unusable if more than this share of the image lies beyond it, or if its
 # radius is less than half the shorter side. Wrong coefficients do that; coefficients that are
@@ -323,15 +323,15 @@ def describe_fold(lens: Intrinsics) -> str | None:
     """
     if isinstance(lens.lens, AbstractSplinedLens) and not lens.lens.steepness() < 1.0:
         return (
-            "folds the image: neighbouring control points of its correction differ by "
+            "folds the image: neighbouring control points of its spline correction differ by "
             f"{lens.lens.steepness():.2g} times their distance"
         )
     corner_px, radius_px = farthest_corner_px(lens), lens.valid_radius_px
     if lens.lens.fold_angle_rad() >= np.pi / 2 or not radius_px < corner_px:
         return None
     return (
-        f"folds the image {radius_px:.0f} px from the principal point, while the farthest corner "
-        f"is {corner_px:.0f} px away"
+        f"folds the image {radius_px:.0f} px from the principal point (two rays have one pixel "
+        f"there, and the farthest corner is {corner_px:.0f} px away)"
     )
 
 
@@ -355,7 +355,7 @@ def describe_usable_fold(lens: Intrinsics) -> str | None:
     if fold is None or describe_unusable_fold(lens) is not None:
         return None
     share = _lost_percent(lens)
-    return f"{fold}: lines and points beyond the fold, in {share} of the image, are not used"
+    return f"{fold}; lines and points beyond this radius, in {share} of the image, are not used"
 
 
 def share_beyond_fold(lens: Intrinsics) -> float:

@@ -100,8 +100,8 @@ def grey_image(image: Shaped[np.ndarray, "..."]) -> GreyImage:
     array = np.asarray(image)
     if array.dtype == np.bool_:
         raise InputError(
-            "The picture has truth values, which are no grey levels. Give the picture itself, or "
-            "255 times the mask as uint8 for a black and white picture."
+            "The picture has truth values, not grey levels. Give the picture itself, or 255 times "
+            "the mask as uint8 for a black and white picture."
         )
     if array.dtype.kind not in "uif":
         raise InputError(
@@ -205,7 +205,7 @@ def describe_interlacing(image: GreyImage) -> str | None:
     if down <= max(most_combs, _COMB_RATIO * along):
         return None
     return (
-        "Even and odd rows were taken at two times (interlaced), so edges are combs. Set the "
+        "Even and odd rows were taken at two times (interlaced), so edges look like combs. Set the "
         "camera to progressive scan, or keep the scene still."
     )
 

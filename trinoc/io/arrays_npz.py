@@ -45,7 +45,8 @@ def write_arrays(
         # A zip file cuts names at a zero; half a character cannot be printed.
         if not name.isprintable() or has_half_characters("".join(texts)):
             raise InputError(
-                f"{path} was not written: {name!r} holds what is no character: correct it."
+                f"{path} was not written: {name!r} contains an invalid character: correct "
+                "this text."
             )
     named: dict[str, Any] = {"format": np.array(format_name), "version": np.array(version)}
     named.update(arrays)
@@ -108,8 +109,8 @@ def _arrays(file: Path, only: tuple[str, ...] | None = None) -> dict[str, np.nda
             members = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
             if sum(entry.file_size for entry in members) > MOST_BYTES:
                 raise InputError(
-                    f"{file} unpacks to more than {MOST_BYTES / 1e9:.1f} GB, which no file of "
-                    "trinoc does: give another file."
+                    f"{file} unpacks to more than {MOST_BYTES / 1e9:.1f} GB, which is too "
+                    "large for a file of trinoc: give another file."
                 )
             arrays = {}
             for entry in members:
@@ -151,14 +152,14 @@ def _array(stream: Any, size: int) -> np.ndarray:
     # Products of Python's whole numbers do not overflow.
     byte_count = math.prod(shape) * dtype.itemsize
     if dtype.kind not in _KINDS or byte_count != size - counter.taken or size > MOST_BYTES:
-        raise ValueError("The header does not describe what follows it.")
+        raise ValueError("The header does not describe the data after it.")
     if any(side < 0 for side in shape) or dtype.itemsize == 0:
         raise ValueError("The array has an impossible shape or type.")
     content = bytearray(stream.read(byte_count))
     if len(content) != byte_count:
         raise ValueError("The array ends early.")
     if stream.read(1):  # at the end, zipfile compares the check sum
-        raise ValueError("The array goes on.")
+        raise ValueError("The file has data after the end of the array.")
     flat = np.frombuffer(content, dtype).astype(dtype.newbyteorder("="), copy=False)
     if dtype.kind == "U":
         _expect_characters(flat)
@@ -194,4 +195,4 @@ def _expect_characters(texts: np.ndarray) -> None:
     """Raise ValueError if an array of strings contains codes that are not characters."""
     codes = texts.view(np.uint32)
     if ((codes > 0x10FFFF) | ((codes >= 0xD800) & (codes < 0xE000))).any():
-        raise ValueError("A text holds what is no character.")
+        raise ValueError("A text contains an invalid character.")

@@ -54,8 +54,8 @@ def read_bytes(path: str | os.PathLike[str], most_bytes: int = MOST_BYTES) -> by
         raise InputError(f"{file} cannot be read ({reason}): {remedy}.") from error
     if max(size, len(content)) > most_bytes:
         raise InputError(
-            f"{file} has {max(size, len(content)) / 1e6:.0f} MB, but no such file has more than "
-            f"{most_bytes / 1e6:.0f}: give another file."
+            f"{file} has {max(size, len(content)) / 1e6:.0f} MB, but files of this kind have "
+            f"at most {most_bytes / 1e6:.0f} MB: give another file."
         )
     return content
 
@@ -110,7 +110,8 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
         scratch.unlink(missing_ok=True)
         if isinstance(error, OSError) and error.errno in _DISK and error.filename is None:
             raise InputError(
-                f"{target} was not written ({error.strerror}): make room, or choose another place."
+                f"{target} was not written ({error.strerror}): free some disk space, or choose "
+                "another place."
             ) from error
         raise
 
@@ -167,7 +168,9 @@ def _resolve_link(path: Path) -> Path:
     try:
         return path.resolve()
     except (OSError, RuntimeError) as error:
-        raise InputError(f"{path} is a link that leads nowhere: give another name.") from error
+        raise InputError(
+            f"{path} is a link to a file that does not exist: give another name."
+        ) from error
 
 
 def _sweep(target: Path) -> None:
@@ -194,8 +197,8 @@ def expect_whole_characters(text: str, path: str | os.PathLike[str]) -> None:
     """Raise `InputError` if the text for a file contains surrogates (halves of characters)."""
     if has_half_characters(text):
         raise InputError(
-            f"{path} was not written: a name or text in it holds half a character (a surrogate), "
-            "which no file can hold: correct it."
+            f"{path} was not written: a name or text contains half a character (a "
+            "surrogate), which no file can contain: correct this text."
         )
 
 

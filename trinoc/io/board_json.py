@@ -35,8 +35,8 @@ def load_pattern(path: str | os.PathLike[str]) -> Pattern:
     target = load_target(path)
     if not isinstance(target, Pattern):
         raise InputError(
-            f"{path} is no sheet of circles, which is needed here: `trinoc calibrate-rig` takes "
-            "other boards, and several shots of one camera alone, too."
+            f"{path} is not a sheet of circles, which is needed here: for other boards, or several "
+            "shots of one camera, use `trinoc calibrate-rig`."
         )
     return target
 

@@ -92,7 +92,7 @@ def answer(reader: str) -> None:
     except DamagedError as error:
         result = {"problem": str(error)}
     except MemoryError:
-        result = {"problem": "it needs more memory than any such file"}
+        result = {"problem": "the file needs more memory than any valid file"}
     except Exception as error:
         result = {"problem": " ".join(f"{type(error).__name__}: {error}".split())[:200]}
     print(json.dumps(result))

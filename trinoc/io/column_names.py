@@ -186,12 +186,14 @@ def _needed_beside_middle(columns: Mapping[str, np.ndarray], where: str) -> tupl
     has_middle = all(key in columns for key in _MIDDLE)
     if not complete and has_middle and "x vector" in columns:
         raise InputError(
-            f"{where}, does not say whether dx, dy reach from end to end or from the middle to an "
-            "end: name them full_dx, full_dy or half_dx, half_dy, or add a column length."
+            f"{where}, does not state whether dx, dy are measured from end to end or from the "
+            "middle to an end: name them full_dx, full_dy or half_dx, half_dy, or add a column "
+            "length."
         )
     if not complete and has_middle and "angle" in columns:
         raise InputError(
-            f"{where}, does not say the unit of the angle: name the column angle_deg or angle_rad."
+            f"{where}, does not state the unit of the angle: name the column angle_deg or "
+            "angle_rad."
         )
     return complete[0] if complete else ("length", "angle deg")
 
@@ -244,7 +246,7 @@ def _columns_of(
         if meaning in columns or (begins_with_0 and end == "2"):
             other = name_of.get(meaning, next(iter(name_of.values()), name))
             raise InputError(
-                f'{where}, has columns "{other}" and "{name}", which may mean one thing or two: '
+                f'{where}, has columns "{other}" and "{name}", which may be the same quantity: '
                 f"keep four columns {KNOWN_COLUMNS}."
             )
         columns[meaning], name_of[meaning] = column, name

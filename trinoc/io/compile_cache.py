@@ -117,11 +117,14 @@ def log_compiling(is_kept: bool, seconds: float) -> None:
     if seconds > 0:
         message = f"still compiling: {seconds:.0f} s in this process so far"
     elif is_kept:
-        message = "compiling for input of this kind: some seconds to two minutes, this once"
+        message = (
+            "compiling for this kind of input: this takes some seconds to two minutes, and only "
+            "once"
+        )
     else:
         message = (
-            "compiling, as the first calls of a process do: some seconds to two minutes; "
-            "trinoc.io.enable_compile_cache() keeps it for the next process"
+            "compiling for the first calls of this process: this takes some seconds to two "
+            "minutes; trinoc.io.enable_compile_cache() keeps the result for the next process"
         )
     if LOGGER.isEnabledFor(logging.INFO):
         LOGGER.info(message)

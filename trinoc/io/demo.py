@@ -41,7 +41,7 @@ def demo_paths(kind: str) -> dict[str, Path]:
         For another kind.
     """
     if kind not in ("sheet", "scene"):
-        raise InputError(f'The demo has no pictures of "{kind}": ask for "sheet" or "scene".')
+        raise InputError(f'The demo has no pictures of "{kind}": give "sheet" or "scene".')
     return {view: demo_folder() / f"{kind}_{view}.png" for view in VIEWS}
 
 

@@ -258,8 +258,8 @@ class RecordingMatches(Mapping):
         results = self._last[1]
         if not row < len(results) or results[row].name != frame:
             raise InputError(
-                f'{self.folder / file} has no frame "{frame}" in row {row}, where the manifest '
-                "says so: run the batch again."
+                f'{self.folder / file} has no frame "{frame}" in row {row}, which contradicts the '
+                "manifest: run the batch again."
             )
         return results[row].matches
 
@@ -292,7 +292,10 @@ def load_recording(folder: str | os.PathLike[str]) -> RecordingMatches:
     positions, failures = {}, {}
     for file in sorted(lines):
         if Path(file).name != file:
-            raise InputError(f'A manifest in {path} names "{file}", which is outside: remove it.')
+            raise InputError(
+                f'A manifest in {path} names "{file}", which is outside this folder: remove this '
+                "manifest."
+            )
         for line in lines[file]:
             name = str(line.get("frame"))
             positions[name] = file, int(line["row"])

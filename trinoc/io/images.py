@@ -229,7 +229,7 @@ def _content(file: Path) -> bytes:
         )
     content = read_bytes(file, MOST_BYTES)
     if not content:
-        raise InputError(f"{file} is empty: copy the picture again from where it came.")
+        raise InputError(f"{file} is empty: copy the picture again from its source.")
     warn_of_orientation(file, content)
     return as_stored(content)
 
@@ -248,7 +248,8 @@ def refuse_videos(files: Iterable[Path]) -> None:
         if file.suffix.lower() in VIDEO_SUFFIXES:
             raise InputError(
                 f"{file} is a video: write its frames by `trinoc export {shlex.quote(str(file))} "
-                "--from video -o frames`, or give it to `trinoc watch` where a board is waved."
+                "--from video -o frames`, or give the video to `trinoc watch` if it shows a moving "
+                "board."
             )
 
 
@@ -262,18 +263,16 @@ def _decode(file: Path, content: bytes) -> np.ndarray:
         ) from error
     if not is_complete(content):
         raise InputError(
-            f"{file} is a PNG that is cut off or announces more than it holds: copy the picture "
-            "again from where it came."
+            f"{file} is a PNG file that is incomplete or states a wrong size: copy the picture "
+            "again from its source."
         )
     if size is None or min(size) < 1:
         raise _unreadable(file)
     count = _count_pictures(content)
     if count > 1:
-        raise InputError(
-            f"{file} holds {count} pictures: save the one that is meant to a file of its own."
-        )
+        raise InputError(f"{file} contains {count} pictures: save one of them to a separate file.")
     if not ends_as_it_should(content):
-        raise InputError(f"{file} ends before its picture does: copy it again.")
+        raise InputError(f"{file} is incomplete: copy the picture again.")
     try:
         with silent_opencv():
             image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
@@ -289,8 +288,8 @@ def _decode(file: Path, content: bytes) -> np.ndarray:
     if image.shape[2] == 4:
         if np.ptp(image[..., 3]) and not np.ptp(image[..., :3], axis=(0, 1)).any():
             raise InputError(
-                f"{file} is drawn in its transparency alone, below which it has one colour: save "
-                "it without transparency, on white."
+                f"{file} has a drawing in its transparency only, and one colour everywhere: save "
+                "the picture without transparency, on white."
             )
         return cv2.cvtColor(image, cv2.COLOR_BGRA2RGB)
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
@@ -354,7 +353,8 @@ def load_shots(paths: Mapping[str, str | os.PathLike[str]]) -> Shots:
             other = owner.setdefault(file.resolve(), camera)
             if other != camera:
                 raise InputError(
-                    f'{file} is a picture of "{other}" and of "{camera}": give each camera its own.'
+                    f'{file} is a picture of "{other}" and of "{camera}": give each camera its own '
+                    "picture."
                 )
     names = name_shots(
         {camera: [file.stem for file in camera_files] for camera, camera_files in files.items()}

@@ -163,8 +163,8 @@ def expect_apart(cameras: Mapping[str, Camera], where: str) -> None:
     pair = find_equal_centres(cameras)
     if pair is not None:
         raise InputError(
-            f'{where}: the cameras "{pair[0]}" and "{pair[1]}" stand at one place, which leaves '
-            "depth unknown: calibrate them again, or remove one."
+            f'{where}: the cameras "{pair[0]}" and "{pair[1]}" have the same position, so depth is '
+            "unknown: calibrate these cameras again, or remove one."
         )
 
 
@@ -249,8 +249,8 @@ def save_intrinsics(
     expect_readable(intrinsics, f"{path} was not written")
     if covariance is not None and not is_covariance(np.asarray(covariance)[None]).all():
         raise InputError(
-            f"{path} was not written: the covariance of the lens is none (finite, symmetric, "
-            "nowhere negative): calibrate again, or drop it."
+            f"{path} was not written: the covariance of the lens is not a covariance "
+            "matrix (finite, symmetric, nowhere negative): calibrate again, or omit the covariance."
         )
     document: dict[str, Any] = {
         "format": FORMAT,
@@ -376,6 +376,7 @@ def _distortion(block: Block) -> tuple[str, np.ndarray | None]:
         return model, coefficients
     if coefficients.any():
         raise block.error(
-            "coefficients", f'must be empty for the model "{model}": name the model they are of.'
+            "coefficients",
+            f'must be empty for the model "{model}": name the lens model of these coefficients.',
         )
     return model, None

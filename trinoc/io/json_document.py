@@ -47,7 +47,7 @@ def parsed_json(text: str, file: str | os.PathLike[str]) -> Any:
         raise InputError(f"{file}: {error}") from error
     except ValueError as error:  # of Python, whose integers have at most 4,300 digits
         raise InputError(
-            f"{file} holds a number of thousands of digits: write it as 1.5e300, if it is meant."
+            f"{file} contains a number with thousands of digits: write a number such as 1.5e300."
         ) from error
     # Halves of a character, which JSON can name by \\u, cannot be printed or written again.
     if re.search(r"\\u[dD][89a-fA-F]", text) and has_half_characters(
@@ -87,7 +87,10 @@ def _check_depth(text: str, file: str | os.PathLike[str]) -> None:
 
 
 def _refuse_constant(name: str) -> float:
-    raise _NotStrictError(f"{name} is no number that a file may hold: put a finite one there.")
+    raise _NotStrictError(
+        f"{name} is not a finite number, and a file can contain only finite numbers: correct this "
+        "number."
+    )
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -96,7 +99,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         keys = [key for key, _ in pairs]
         twice = next(key for key in keys if keys.count(key) > 1)
         raise _NotStrictError(
-            f"the key {json.dumps(twice)} stands twice in one object: keep one of them."
+            f"the key {json.dumps(twice)} occurs twice in one object: keep one of the two."
         )
     return values
 
@@ -195,7 +198,8 @@ class Block:
         if (np.abs(array) > LARGEST).any():
             raise self.error(
                 key,
-                f"holds {np.abs(array).max():g}, which nothing measures: check it and its unit.",
+                f"contains {np.abs(array).max():g}, which is too large for a measured value: check "
+                "the number and its unit.",
             )
         return array
 

@@ -148,13 +148,15 @@ def _of_json(file: Path, unit_mm: float, grey_step: float) -> KnownShape:
     document = parsed_json(_read_text(file), file)
     if isinstance(document, dict) and document.get("format") == SCENE_FORMAT:
         if unit_mm != 1.0:
-            raise InputError(f"{file} is in millimetres already: leave the unit out.")
+            raise InputError(f"{file} is in millimetres already: omit the unit.")
         truth = load_scene_truth(file)
         return _check_shape(KnownShape.of_scene(truth, grey_step=grey_step), file)
     if isinstance(document, dict):
         document = document.get("edges_mm", document.get("edges"))
     if not isinstance(document, list):
-        raise InputError(f'{file} holds no list of edges: put one there, or under "edges_mm".')
+        raise InputError(
+            f'{file} contains no list of edges: give a list, or a list under "edges_mm".'
+        )
     edges = [_edge(file, number, entry) for number, entry in enumerate(document)]
     return _check_shape(KnownShape.of_edges(unit_mm * np.array(edges).reshape(-1, 2, 3)), file)
 

@@ -79,8 +79,8 @@ def warn_of_orientation(file: Path, content: bytes) -> None:
         return
     _named_folders.add(file.parent)
     LOGGER.warning(
-        "%s asks to be turned or mirrored when it is shown (orientation tag %d): its pixels are "
-        "taken as the sensor had them, and so are those of other pictures of this folder",
+        "%s has a tag to rotate or mirror it in viewers (orientation tag %d): trinoc uses the "
+        "pixels of the sensor, also for the other pictures of this folder",
         file,
         orientation,
     )

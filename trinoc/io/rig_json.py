@@ -340,8 +340,8 @@ def _rigid_motion(block: Block) -> np.ndarray:
     except InputError as error:
         raise block.error(
             "cam_from_world",
-            "must be [R | t] with a rotation R, but its first three columns are none: "
-            "correct them, or remove the key where extrinsics are given.",
+            "must be [R | t] with a rotation R, but its first three columns are not a rotation: "
+            "correct them, or remove the key if extrinsics are given.",
         ) from error
     return np.column_stack([rotation, matrix[:, 3]])
 
@@ -354,7 +354,7 @@ def _check_consistent(block: Block, camera: Camera, other: Camera) -> None:
     ):
         raise block.error(
             "extrinsics",
-            "and cam_from_world describe different cameras: remove the one that is not meant.",
+            "and cam_from_world describe different cameras: remove the wrong one of the two.",
         )
 
 
@@ -386,6 +386,6 @@ def _check_sigma(block: Block, expected: Mapping[str, float]) -> None:
         if abs(block.number(key) - expected[key]) > 1e-3 * expected[key]:
             raise block.error(
                 key,
-                f"differs from the covariance, which says {expected[key]:.6g}: remove this sigma, "
-                "it is only a reading aid.",
+                f"differs from the covariance, which gives {expected[key]:.6g}: remove this sigma, "
+                "which is only for readers.",
             )

@@ -112,7 +112,8 @@ def expect_foreign(path: str | os.PathLike[str], *, force: bool = False) -> None
 
 def _describe_loss(path: str | os.PathLike[str], content: str, remedy: str = "--force") -> str:
     return (
-        f"{path} is there and holds {content}, which would be lost: give another name, or {remedy}."
+        f"{path} exists and contains {content}, which would be overwritten: give another name, or "
+        f"{remedy}."
     )
 
 

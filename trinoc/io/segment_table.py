@@ -63,13 +63,14 @@ def load_segments(path: str | os.PathLike[str]) -> Segments:
     ends = np.abs(np.asarray(segments.endpoints_px))
     if len(ends) and ends.max() <= 1:
         raise InputError(
-            f"{file} has no coordinate above 1, as shares of a picture have: {_REMEDY}."
+            f"{file} has no coordinate above 1, so the coordinates may be relative to the size of "
+            f"the picture: {_REMEDY}."
         )
     far = np.flatnonzero((ends > LARGEST_PX).any(axis=(1, 2)))
     if len(far):
         raise InputError(
-            f"{file}: segment {far[0]} has a coordinate of {ends[far[0]].max():g} px, beyond all "
-            "pictures: give ends in pixels of the picture."
+            f"{file}: segment {far[0]} has a coordinate of {ends[far[0]].max():g} px, outside any "
+            "picture: give ends in pixels of the picture."
         )
     return segments
 
@@ -115,8 +116,8 @@ def _text_table(text: str, file: Path) -> np.ndarray:
             raise InputError(f"{file}, line {number}, is not a table of numbers: {_REMEDY}.")
         elif rows and len(row) != len(rows[0]):
             raise InputError(
-                f"{file}, line {number}, has {len(row)} numbers where others have {len(rows[0])}, "
-                f"and so is not a table of numbers: {_REMEDY}."
+                f"{file}, line {number}, has {len(row)} numbers, but other lines have "
+                f"{len(rows[0])}, so the file is not a table of numbers: {_REMEDY}."
             )
         else:
             rows.append(row)

@@ -44,7 +44,7 @@ def checked_arrays(table: Table, path: str | os.PathLike[str]) -> dict[str, np.n
     read = list_arrays(build_table(type(table), fields))
     for name in arrays:
         if name not in read:
-            raise fields.error(name, "has a name under which it would not be read")
+            raise fields.error(name, "has a name with which it could not be read again")
     return arrays
 
 

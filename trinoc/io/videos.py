@@ -55,8 +55,8 @@ def open_videos(files: Mapping[str, Path]) -> dict[str, Video]:
         if abs(other.frames_per_s - first.frames_per_s) > 0.01 * first.frames_per_s:
             raise InputError(
                 f"{first.file} has {first.frames_per_s:g} frames a second and {other.file} "
-                f"{other.frames_per_s:g}, so that frames of equal numbers are of different "
-                "moments: give videos that were taken in step."
+                f"{other.frames_per_s:g}, so frames of equal numbers have different times: give "
+                "videos that were taken at one frame rate."
             )
     return videos
 
@@ -69,19 +69,20 @@ def compare_videos(videos: Sequence[Video]) -> list[str]:
     if longest.frames - shortest.frames > 1:
         warning_texts.append(
             f"{longest.file} has {longest.frames} frames and {shortest.file} {shortest.frames}: "
-            "those of equal numbers are taken for one moment, so see that all begin at one moment."
+            "frames of equal numbers are assumed simultaneous, so check that all videos begin at "
+            "one moment."
         )
     first = videos[0]
     other = next((video for video in videos if video.size_px != first.size_px), None)
     if other is not None:
         sizes = ["{} x {} px".format(*video.size_px) for video in (first, other)]
         warning_texts.append(
-            f"{first.file} is {sizes[0]} and {other.file} {sizes[1]}: see that these are the sizes "
-            "that the cameras were calibrated for."
+            f"{first.file} is {sizes[0]} and {other.file} {sizes[1]}: check that these are the "
+            "sizes that the cameras were calibrated for."
         )
     warning_texts += [
-        f"{video.file} asks to be turned by {video.turned_deg} degrees when it is shown: its "
-        "frames are taken as the sensor had them, as pictures of a camera are."
+        f"{video.file} has a tag to rotate it by {video.turned_deg} degrees in viewers: trinoc "
+        "uses the pixels of the sensor."
         for video in videos
         if video.turned_deg
     ]
@@ -152,14 +153,14 @@ def _expect_whole(
 ) -> None:
     if reader.has_ended and reader.count < video.frames:
         warn(
-            f"{video.file} announces {video.frames} frames, of which {reader.count} can be read: "
-            "these are kept, but if one before the end is missing, later ones are of wrong "
-            "moments, so copy the video again."
+            f"{video.file} states {video.frames} frames, but only {reader.count} can be read, and "
+            "if a frame before the end is missing, later frames have wrong times: copy the video "
+            "again."
         )
     if lacking:
         warn(
-            f"{video.file} has no frame at {lacking} of the moments of the other videos, which are "
-            "left out."
+            f"{video.file} has no frame at {lacking} of the moments of the other videos: these "
+            "moments are left out."
         )
 
 
@@ -241,7 +242,9 @@ def to_picture(frame: UInt8[np.ndarray, "..."]) -> UInt8[np.ndarray, "..."]:
 def expect_folder_name(camera: str) -> None:
     """Raise `InputError` for a camera name that cannot be the name of a folder."""
     if Path(camera).name != camera or camera.startswith("."):
-        raise InputError(f'"{camera}" is no name of a folder: name the camera otherwise.')
+        raise InputError(
+            f'"{camera}" is not allowed as the name of a folder: give the camera another name.'
+        )
 
 
 def write_frames(
@@ -273,7 +276,7 @@ def write_frames(
     for name in videos:
         expect_folder_name(name)
     if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
-        raise InputError(f"{folder} is a file or holds files: give a new or an empty folder.")
+        raise InputError(f"{folder} is a file or contains files: give a new or an empty folder.")
     for name in videos:
         (folder / name).mkdir(parents=True, exist_ok=True)
     step = max(1, round(every_s * common_rate(videos)))

@@ -33,9 +33,9 @@ def cameras_nearly_coincide(
     first, second = sorted(pair)
     more = f" (and {further_pairs} more pairs of cameras)" if further_pairs else ""
     return (
-        f'The cameras "{first}" and "{second}" are only {baseline_mm:.2g} mm apart{more}: '
-        f"{100 * share:.0f} % of their longest segments coincide as if the scene were infinitely "
-        "far away, so this pair gives no depth. Move one of the cameras, or check the rig."
+        f'The cameras "{first}" and "{second}" are only {baseline_mm:.2g} mm apart{more}, so they '
+        f"give no depth: {100 * share:.0f} % of their longest segments match at infinite distance. "
+        "Move one of the cameras, or check the rig."
     )
 
 
@@ -45,12 +45,14 @@ def segments_beyond_fold(counts: Mapping[str, int], radius_px: Mapping[str, floa
     `counts` and `radius_px` are, for each view, the number of excluded segments and the largest
     invertible radius.
     """
-    beyond = ", ".join(
-        f'{count} of "{name}" (beyond {radius_px[name]:.0f} px)' for name, count in counts.items()
+    excluded = ", ".join(
+        f'{count} segments of "{name}" beyond {radius_px[name]:.0f} px'
+        for name, count in counts.items()
     )
     return (
-        "Segments are excluded because they lie outside the radius within which the lens model is "
-        f"one to one: {beyond}. To use them, calibrate with the board nearer to the image corners."
+        "The lens model is not one to one far from the principal point, and segments there are "
+        f"excluded: {excluded}. To use these segments, calibrate with the board nearer to the "
+        "image corners."
     )
 
 
@@ -60,9 +62,9 @@ def triples_discarded(count: int) -> str:
     `count` is the number of discarded triples.
     """
     return (
-        f"{count} likely triples were discarded to limit the memory, because the images contain "
-        "repeated structure. The posteriors of their rivals are lowered by their share. Exclude "
-        "the shortest segments, or match parts of the images."
+        f"{count} likely triples of segments were discarded to limit the memory, because the "
+        "images contain repeated structure. The posteriors of other triples of these segments are "
+        "lowered. Exclude the shortest segments, or match parts of the images."
     )
 
 
@@ -72,9 +74,9 @@ def noise_differs(scale: float) -> str:
     `scale` is the estimated sigma of the segments over the stated one.
     """
     return (
-        f"The errors of the segments are {scale:.2g} times the stated sigma, and all covariances "
-        f"use this estimate. Pass a sigma_px that is {scale:.2g} times the stated one, so that the "
-        "candidate search uses it too."
+        f"The estimated errors of the segments are {scale:.2g} times the stated sigma, and all "
+        f"covariances use the estimate. Pass {scale:.2g} times the stated sigma_px, so that the "
+        "search for candidates uses the estimate, too."
     )
 
 
@@ -84,8 +86,9 @@ def cameras_collinear(unlocated: int) -> str:
     `unlocated` is the number of tracks that are excluded for this reason.
     """
     return (
-        "The cameras' centres lie on one line, and no pair of views locates segments that are "
-        f"parallel to it: {unlocated} tracks are excluded. Move one camera off the line."
+        f"All camera centres lie on one line. {unlocated} tracks are excluded, because their "
+        "segments are parallel to this line, so that no pair of views determines the depth. Move "
+        "one camera off the line."
     )
 
 
@@ -96,8 +99,8 @@ def two_views_leave_unlocated(unlocated: int) -> str:
     `unlocated` is the number of tracks that are excluded for this reason.
     """
     return (
-        "Two views do not locate segments along their epipolar lines: "
-        f"{unlocated} tracks are excluded. Add a third camera off the line through the two."
+        f"{unlocated} tracks are excluded, because two views do not determine the depth of "
+        "segments along epipolar lines. Add a third camera off the line through the two cameras."
     )
 
 
@@ -114,17 +117,19 @@ def set_does_not_belong(sure: int, by_chance: float | None, remedy: str) -> str:
         Sentence with the most likely cause or the remedy.
     """
     decoys = (
-        "" if by_chance is None else f", and {by_chance:.0f} with one image mirrored on purpose"
+        ""
+        if by_chance is None
+        else f", and {by_chance:.0f} sure lines if one image is mirrored on purpose"
     )
     return (
-        "These segments and this rig do not seem to belong together: there are "
-        f"{sure} sure lines in three views{decoys}. {remedy}"
+        f"The segments and the rig do not seem to belong together: matching gives {sure} sure "
+        f"lines in three views{decoys}. {remedy}"
     )
 
 
 CHECK_THE_SET = (
-    "Check that this rig took these images of one scene at one time, in the size that it states, "
-    "and that each image has the name of its own camera."
+    "Check that this rig took these images of one scene at one time, that each image has the size "
+    "that the rig states, and that each image has the name of its own camera."
 )
 
 
@@ -135,9 +140,9 @@ def rig_has_changed(sure: int, segments: int, noise_scale: float) -> str:
     `noise_scale` is the estimated sigma of the segments over the stated one.
     """
     return (
-        f"Only {sure} of {segments} segments are sure in three views, and their errors are "
-        f"{noise_scale:.2g} times the stated sigma: a camera was moved, or an image is cropped or "
-        "shifted. Check the rig (check_rig) before you use these matches."
+        f"Only {sure} of {segments} segments are sure in three views, and the errors of the "
+        f"segments are {noise_scale:.2g} times the stated sigma, so a camera was moved, or an "
+        "image is cropped or shifted. Check the rig (check_rig) before you use these matches."
     )
 
 
@@ -151,8 +156,8 @@ def most_likely_mistake(description: str, corrected: int, uncorrected: int) -> s
     sure lines with and without its correction, for a sample of the segments.
     """
     return (
-        f"Most likely {description}: after correction, {corrected} lines of a sample are sure, "
-        f"instead of {uncorrected}."
+        f"Probably {description}: a sample of the segments gives {uncorrected} sure lines, and "
+        f"{corrected} sure lines without this mistake. Correct the mistake, and match again."
     )
 
 
@@ -174,7 +179,7 @@ def image_resized(view: str, size: str) -> str:
 
     `size` is "half" or "twice".
     """
-    return f'the segments of "{view}" come from an image of {size} the size of its camera\'s'
+    return f'the segments of "{view}" come from an image of {size} the size that the rig states'
 
 
 def all_images_resized(size: str) -> str:
@@ -182,7 +187,7 @@ def all_images_resized(size: str) -> str:
 
     `size` is "half" or "twice".
     """
-    return f"the segments come from images of {size} the size of the cameras'"
+    return f"the segments come from images of {size} the size that the rig states"
 
 
 def image_shifted(view: str, shift_px: Float[ndarray, "2"]) -> str:
@@ -192,7 +197,8 @@ def image_shifted(view: str, shift_px: Float[ndarray, "2"]) -> str:
     """
     return (
         f'the image of "{view}" is shifted by about ({shift_px[0]:.0f}, {shift_px[1]:.0f}) px '
-        "against its camera (it is cropped, or its principal point or the camera has moved)"
+        "relative to its camera (the image is cropped, or the principal point or the camera has "
+        "moved)"
     )
 
 
@@ -211,7 +217,7 @@ def rig_mirrored(names: Iterable[str], before: int, behind: int) -> str:
     """
     return (
         f"The rig of {list_names(names)} is mirrored: {behind} lines lie behind its cameras and "
-        f"{before} before them. Give the matrices of unmirrored images in a right-handed world."
+        f"{before} in front. Give the matrices of unmirrored images in a right-handed world."
     )
 
 
@@ -221,13 +227,13 @@ def camera_mirrored(name: str, reason: str) -> str:
     `reason` is the evidence: NEGATIVE_DETERMINANT or SCENE_BEHIND.
     """
     return (
-        f'Camera "{name}" is mirrored or looks the wrong way ({reason}): give the matrix of the '
-        "unmirrored image in a right-handed world, with x to the right and y down."
+        f'Camera "{name}" is mirrored or looks away from the scene ({reason}). Give the matrix of '
+        "the unmirrored image in a right-handed world, with x to the right and y down."
     )
 
 
-NEGATIVE_DETERMINANT = "its rotation has determinant -1"
-SCENE_BEHIND = "the space that it shares with the other cameras lies behind it"
+NEGATIVE_DETERMINANT = "its rotation matrix has determinant -1"
+SCENE_BEHIND = "the space that the other cameras see lies behind this camera"
 
 # Findings on whether matches can be used: explanation, then remedy.
 
@@ -238,8 +244,8 @@ def depth_range_excludes(segments: int) -> str:
     `segments` is the number of excluded segments.
     """
     return (
-        f"{segments} segments have no partner within the allowed depths: check depth_range_mm, "
-        "which is measured from each camera, in mm."
+        f"{segments} segments have no partner at a depth within depth_range_mm. Check "
+        "depth_range_mm, the smallest and the largest depth from each camera, in mm."
     )
 
 
@@ -253,10 +259,10 @@ def calibration_suspect(camera: str, reason: str) -> str:
 
 
 CALIBRATE_AGAIN = (
-    "The 3-D segments inherit this error, and their sigmas do not include it: calibrate again."
+    "The sigmas of the 3-D segments do not include the resulting error. Calibrate again."
 )
-REMOVE_THE_CAUSE = "No posterior here is above 0.5: remove the cause and match again."
-DO_NOT_BELONG = "segments and rig do not belong together."
+REMOVE_THE_CAUSE = "No posterior of these matches is above 0.5. Remove the cause, and match again."
+DO_NOT_BELONG = "the segments and the rig do not belong together."
 
 
 def only_two_views(tracks: int) -> str:
@@ -265,8 +271,8 @@ def only_two_views(tracks: int) -> str:
     `tracks` is the number of tracks.
     """
     return (
-        f"of {tracks} tracks. Chance gives lines in two views too, and no third view separates "
-        "these from right ones."
+        f"there are {tracks} tracks, and some tracks may be wrong by chance, because no third view "
+        "confirms them."
     )
 
 
@@ -280,8 +286,8 @@ def sure_lines(tracks: int, share: float) -> str:
     the view with the smallest share.
     """
     return (
-        f"of {tracks} tracks, which contain {100 * share:.0f} % of the segments of the view with "
-        "the fewest matches."
+        f"there are {tracks} tracks, and the sure lines contain {100 * share:.0f} % of the "
+        "segments of the view with the fewest matches."
     )
 
 
@@ -291,18 +297,19 @@ def too_few_sure_lines(required: int) -> str:
     `required` is the smallest number of sure lines.
     """
     return (
-        f"{required} are needed: check that this rig took these images of one scene, that each "
-        "image has the name of its own camera, and that no camera was moved (trinoc check)."
+        f"At least {required} sure lines are needed. Check that this rig took these images of one "
+        "scene, that each image has the name of its own camera, and that no camera was moved "
+        "(trinoc check)."
     )
 
 
 VIEWS_DISAGREE_BY = (
-    "the disagreement between the views about a segment's position. Near 1, they agree as well "
-    "as the segments were measured."
+    "this is the rms difference between the views in the positions of the segments. If it is near "
+    "1, the views agree within the sigmas of the segments."
 )
 CHECK_THE_ERRORS = (
-    "A camera may have been moved (run trinoc check), the images are sharpened or were displaced, "
-    "or the stated sigma of the segments is too small. The sigmas of the lines include this factor."
+    "Check the rig (trinoc check), check that the images were not sharpened or shifted, and that "
+    "the stated sigma of the segments is large enough. The sigmas of the lines include this factor."
 )
 
 
@@ -313,14 +320,15 @@ def sigma_of_lines(count: int, extent: str) -> str:
     their ends, as text with unit.
     """
     return (
-        f"the median sigma across the {count} sure lines, nine tenths of whose ends lie within "
-        f"{extent}."
+        f"this is the median sigma perpendicular to the {count} sure lines. Nine tenths of their "
+        f"ends lie within {extent}."
     )
 
 
 REDUCE_THE_SIGMA = (
-    "Put the cameras farther apart or nearer to the scene, or use images with more pixels. If the "
-    "positions are still good enough for you, each line has its own covariance."
+    "To reduce the sigmas, put the cameras farther apart or nearer to the scene, or use images "
+    "with more pixels. Each line has its own covariance: lines of a sufficient accuracy can be "
+    "used."
 )
 
 # Line ends that do not fit the wire frame.
@@ -333,8 +341,8 @@ def end_misses_near_corner(distance_mm: float, chi_square: float) -> str:
     `chi_square` is that of the distance from the corner, with 2 degrees of freedom.
     """
     return (
-        f"its line misses the corner beside its end by {distance_mm:.2f} mm: chi-square "
-        f"{chi_square:.0f} with 2 degrees of freedom. The end stays free."
+        f"the line misses the corner near this end by {distance_mm:.2f} mm (chi-square "
+        f"{chi_square:.0f} with 2 degrees of freedom), so the end was not joined to the corner."
     )
 
 
@@ -344,6 +352,6 @@ def end_leaves_corner(chi_square: float, degrees: int) -> str:
     `chi_square` and `degrees` are the misfit of the end to the corner.
     """
     return (
-        f"its line does not pass through the corner at its end: chi-square {chi_square:.0f} with "
-        f"{degrees} degrees of freedom. The end was made free."
+        f"the line misses the corner that this end was joined to (chi-square {chi_square:.0f} with "
+        f"{degrees} degrees of freedom), so the end was separated from the corner."
     )

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 
 
 def camera_aliases(cameras: Sequence[str]) -> dict[str, str]:
-    """Camera of each name and short name.
+    """Map each name and each short name to its camera.
 
-    A camera has its full name. Models of COLMAP name cameras after files, "robot/8461.png". The
-    last part "8461.png" and its stem "8461" are short names if no other camera has the same.
+    A camera always has its full name. COLMAP names cameras after files, such as "robot/8461.png";
+    the short names "8461.png" and "8461" are included if no other camera has the same.
     """
     aliases: dict[str, str] = {}
     last_part = {camera: camera.rpartition("/")[2] for camera in cameras}

@@ -18,14 +18,32 @@ ENOUGH_VIEWS = 3
 
 
 class Frame(NamedTuple):
-    """Name of a frame, and the file of each camera, relative to the recording's folder."""
+    """One frame of a recording.
+
+    Attributes
+    ----------
+    name : str
+        Name of the frame.
+    files : mapping of camera to str
+        File of each camera, relative to the recording's folder.
+    """
 
     name: str
     files: Mapping[str, str]
 
 
 class FrameMatches(NamedTuple):
-    """Result of a frame: matches with the status "ok", or None with a sentence as status."""
+    """Result of one frame of a recording.
+
+    Attributes
+    ----------
+    name : str
+        Name of the frame.
+    status : str
+        "ok", or the reason of a failure.
+    matches : Matches or None
+        Matches; None after a failure.
+    """
 
     name: str
     status: str

@@ -25,22 +25,22 @@ def frames_of_names(names: Iterable[str], template: str, cameras: Sequence[str])
     Parameters
     ----------
     names : iterable of str
-        Relative names with "/" as separator. Names that do not match are ignored.
+        Relative names with "/" as separator. Names that do not match the template are ignored.
     template : str
-        Contains {camera}, any name of `camera_aliases`, and {frame}, at least once each; * matches
-        any part of a name.
+        Template with {camera} and {frame}, each at least once. {camera} stands for any name of
+        `camera_aliases`, and * for any part of a name.
     cameras : sequence of str
         Cameras of the rig.
 
     Returns
     -------
     list of Frame
-        Sorted by the numbers in their names: 2 before 10.
+        Frames, sorted by the numbers in their names: 2 before 10.
 
     Raises
     ------
     InputError
-        If the template lacks a field or has an unknown one. If nothing matches. If two files are
+        If the template lacks a field or has an unknown one, if nothing matches, or if two files are
         the image of one camera in one frame.
     """
     aliases = camera_aliases(cameras)
@@ -77,14 +77,14 @@ def frames_of_names(names: Iterable[str], template: str, cameras: Sequence[str])
 
 
 def fitting_template(names: Sequence[str], cameras: Sequence[str]) -> str:
-    """Usual template with the most cameras in its fullest frames.
+    """Return the usual template that fits the file names best.
 
-    Of several, the one with the most such frames. Raises InputError if these frames lack a camera
-    and have fewer than three.
+    The best template finds the frames with the most cameras; of several, the one with the most such
+    frames. Raises InputError if no frame has all cameras or at least three.
     """
 
     def fullest_frames(template: str) -> tuple[int, int]:
-        """(cameras of the fullest frames, number of these)."""
+        """Return the largest number of cameras in a frame, and the number of such frames."""
         try:
             frames = frames_of_names(names, template, cameras)
         except InputError:
@@ -102,7 +102,7 @@ def fitting_template(names: Sequence[str], cameras: Sequence[str]) -> str:
 
 
 def folder_depth(template: str) -> int:
-    """Number of folders above the files of a template."""
+    """Number of folder levels in a template."""
     return template.count("/")
 
 

@@ -17,12 +17,12 @@ def match_part_frames(
     sigma_px: float | None = None,
     depth_range_mm: tuple[float, float] | None = None,
 ) -> list[FrameMatches]:
-    """Match the frames of a part.
+    """Match the frames of one part of a recording.
 
     Parameters
     ----------
-    segments : mapping
-        For each frame, the segments of its views, or a sentence on why it has none.
+    segments : mapping of frame to segments by view, or str
+        Segments of each frame, or a sentence on why it has none.
     rig : Rig
         The cameras.
     sigma_px, depth_range_mm : optional
@@ -31,8 +31,9 @@ def match_part_frames(
     Returns
     -------
     list of FrameMatches
-        All frames are matched together. If that fails, they are matched one by one. A frame that
-        fails, by a defect or lack of memory, has a sentence on it.
+        Result of each frame. All frames are matched together; if that fails, they are matched one
+        by
+        one. The status of a frame that fails, by a defect or lack of memory, is a sentence.
     """
     usable = {name: views for name, views in segments.items() if not isinstance(views, str)}
 
@@ -64,7 +65,7 @@ def match_part_frames(
 
 
 def matcher_failure(error: Exception) -> str:
-    """Sentence on an unexpected failure of the matcher."""
+    """Return the sentence that reports an unexpected failure of the matcher."""
     if isinstance(error, MemoryError):
         return "There is too little memory for this frame. Give smaller pictures or fewer threads."
     text = " ".join(str(error).split())[:200]
@@ -72,7 +73,15 @@ def matcher_failure(error: Exception) -> str:
 
 
 class RecordingPart(NamedTuple):
-    """Consecutive frames; `number` counts the parts of the recording from 0."""
+    """Consecutive frames of a recording that are matched together.
+
+    Attributes
+    ----------
+    number : int
+        Index of the part in the recording, from 0.
+    frames : sequence of Frame
+        The frames.
+    """
 
     number: int
     frames: tuple[Frame, ...]
@@ -89,11 +98,16 @@ def cut_into_parts(frames: Sequence[Frame], frames_per_part: int) -> list[Record
 
 
 def share_parts(parts: Sequence[RecordingPart], shard: tuple[int, int]) -> list[RecordingPart]:
-    """Parts of job i of n, counted from 1: every n-th part, so that jobs take similar times.
+    """Return the parts of job i of n, counted from 1: every n-th part, so that jobs take similar
+    times.
 
-    Raises InputError for a job number outside 1 to n.
+    Raises InputError if i is not from 1 to n.
+
+    shard : (i, n).
     """
     job, jobs = shard
     if not 1 <= job <= jobs:
-        raise InputError(f"There is no shard {job} of {jobs}. Count from 1/{max(jobs, 1)}.")
+        raise InputError(
+            f"There is no shard {job} of {jobs}. Shards are numbered from 1 to {max(jobs, 1)}."
+        )
     return list(parts[job - 1 :: jobs])

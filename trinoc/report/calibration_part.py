@@ -27,9 +27,20 @@ ARROW_REACH = 0.09
 
 
 class StatusRow(NamedTuple):
-    """Status of one camera's fit, in sentences and in figures.
+    """Status of one camera's calibration.
 
-    verdict : "good", "suspect" or "failed".
+    Attributes
+    ----------
+    name : str
+        Name of the camera.
+    sentence : str
+        Status as a sentence, or the reason of a failure.
+    verdict : str
+        "good", "suspect" or "failed".
+    notes : tuple of str
+        Sentences on the fit.
+    figures : tuple of (name, value)
+        Figures of the fit, as text.
     """
 
     name: str
@@ -41,7 +52,7 @@ class StatusRow(NamedTuple):
 
 # The meaning of each figure of a camera, in the order of the cards.
 MEANINGS = (
-    ("circles used", "those found that agree with the others; the rest were located wrongly"),
+    ("circles used", "circles that agree with the fit; the others were located wrongly"),
     ("residual length, rms", "of the circles' centres, predicted minus observed"),
     ("chi-square of the circles / dof", "their squared residuals over their own noise: near 1"),
     ("rank", "number of parameters that the picture determines: all that are fitted"),
@@ -53,14 +64,27 @@ MEANINGS = (
     ),
     ("pixels used, cut", "near edges of ink; cut where something else is seen, such as a thumb"),
     ("blur", "sigma of the lens's blur"),
-    ("ink spread", "by which the ink reaches beyond the drawing"),
+    ("ink spread", "width by which the ink extends beyond the drawing"),
 )
 
 
 class Ellipse(NamedTuple):
-    """A circle's image: semi-axes in pixels, the angle of the first, the tip of its residual.
+    """Image of one circle of the sheet, as a figure draws it.
 
-    A circle that is not `used` took no part in the fit.
+    Attributes
+    ----------
+    u, v : float
+        Centre of the ellipse, px.
+    semi_major_px, semi_minor_px : float
+        Semi-axes.
+    angle_deg : float
+        Angle of the major axis.
+    tip : (u, v)
+        Tip of the arrow that shows the residual of the centre, px.
+    used : bool
+        False if the fit excluded the circle.
+    description : str
+        Text that appears when the reader points at the ellipse.
     """
 
     u: float
@@ -74,7 +98,23 @@ class Ellipse(NamedTuple):
 
 
 class DetectionFigure(NamedTuple):
-    """Circles, cross lines and residual arrows over the picture of one camera."""
+    """Figure of one camera's image with the detected circles, crossed lines and residual arrows.
+
+    Attributes
+    ----------
+    name : str
+        Name of the camera.
+    picture : PagePicture
+        The image.
+    window : Window
+        Part of the image that the figure shows.
+    ellipses : tuple of Ellipse
+        Images of the circles.
+    lines : tuple of (2, 2)
+        Ends of the crossed lines, px.
+    caption : str
+        Caption of the figure.
+    """
 
     name: str
     picture: PagePicture
@@ -85,11 +125,24 @@ class DetectionFigure(NamedTuple):
 
 
 class CamerasPart(NamedTuple):
-    """Parameters of cameras and boards, the contents of the sigmas, and the status of each fit.
+    """Section of the report with the parameters of cameras and boards.
 
-    parameters : table of the cameras. remarks : sentences on its numbers. status : of each camera.
-    meanings : of the figures in `status`. pairs : table of baselines and rotations between cameras.
-    fixed : sentences on the poses of boards in a set. boards : table of their other parameters.
+    Attributes
+    ----------
+    parameters : ReportTable
+        Parameters of the cameras.
+    remarks : tuple of str
+        Sentences about the table of parameters.
+    status : tuple of StatusRow
+        Status of each camera.
+    meanings : tuple of (name, meaning)
+        Explanations of the figures in `status`.
+    pairs : ReportTable, optional
+        Baselines and relative rotations of the pairs of cameras.
+    fixed : tuple of str
+        Sentences on the poses of the boards in a set.
+    boards : ReportTable, optional
+        Other estimated parameters of the boards.
     """
 
     parameters: ReportTable
@@ -102,7 +155,20 @@ class CamerasPart(NamedTuple):
 
 
 class SheetPart(NamedTuple):
-    """Coverage of each image of the sheet, and the residuals of its circles."""
+    """Section of the report with the coverage of each image by the sheet and the circles'
+    residuals.
+
+    Attributes
+    ----------
+    coverage : sequence of Coverage
+        Coverage of each camera's image.
+    figures : tuple of DetectionFigure
+        Detected circles and residuals of each camera.
+    arrows : Arrows
+        Scale of the residual arrows.
+    any_unused : bool
+        True if a fit excluded a circle.
+    """
 
     coverage: Sequence[Coverage]
     figures: tuple[DetectionFigure, ...]
@@ -110,7 +176,7 @@ class SheetPart(NamedTuple):
     any_unused: bool
 
 
-_DIGITS = "Value ± one sigma, to two digits of the sigma."
+_DIGITS = "Value ± one sigma, with two digits of the sigma."
 
 
 def cameras_part(
@@ -120,12 +186,15 @@ def cameras_part(
     reference_name: str,
     others: Sequence[str] = (),
 ) -> CamerasPart:
-    """The parameters of a rig, and the status of each camera where there is a calibration.
+    """Section with the parameters of a rig and, if `result` is given, the status of each camera.
 
-    others : cameras of the same rig that have no view of the scene, and are left out.
+    rig : cameras that the section shows.
+    result : calibration of the rig; None if it is unknown.
+    reference : cameras with known parameters for comparison, called `reference_name`.
+    others : names of further cameras of the rig, which the section omits.
     """
     parameters = rig_table(rig, reference)
-    remarks = (_DIGITS,) if len(rig.parameters) else ("Sigmas are not known.",)
+    remarks = (_DIGITS,) if len(rig.parameters) else ("The sigmas are unknown.",)
     if is_without_sheet(rig):
         remarks += (
             "Not every optical axis meets the plane Z = 0: position and viewing direction in the "
@@ -147,7 +216,7 @@ def cameras_part(
 
 
 def cameras_part_of_shots(result: CalibrationResult) -> CamerasPart:
-    """The parameters of lenses, cameras and boards of a rig from many shots."""
+    """Section with the parameters of lenses, cameras and boards of a rig from many shots."""
     return CamerasPart(
         lens_table(result),
         (_DIGITS, _sigmas_sentence(result), f"The world is {result.world}.", *result.notes),
@@ -164,7 +233,10 @@ def _sigmas_sentence(result: CalibrationResult) -> str:
 def sheet_part(
     result: CalibrationResult, coverage: Sequence[Coverage], pictures: dict[str, PagePicture]
 ) -> SheetPart:
-    """Coverage and residuals of every picture in which the sheet was found."""
+    """Section on every camera that detected the sheet.
+
+    coverage : coverage of each camera's image. pictures : images by camera.
+    """
     windows = {name: _window(fit, pictures[name]) for name, fit in result.fits.items()}
     arrows = Arrows.reaching(
         [
@@ -192,21 +264,21 @@ def _status(result: CalibrationResult, name: str) -> StatusRow:
     if name not in result.fits:
         return StatusRow(name, failure or status.value, "failed", (), ())
     fit = result.fits[name]
-    lines = int(np.isfinite(fit.detection.lines_px).all(axis=1).sum())
+    line_count = int(np.isfinite(fit.detection.lines_px).all(axis=1).sum())
     used = int(fit.used.sum())
     figures = (
         ("circles found", f"{len(fit.detection)} of {len(result.pattern)}"),
         ("circles used", f"{used} of {len(fit.detection)}"),
-        ("cross lines found", f"{lines} of 2"),
+        ("cross lines found", f"{line_count} of 2"),
         ("residual length, rms", f"{with_decimals(fit.rms_px if used else float('nan'), 4)} px"),
         ("chi-square of the circles / dof", with_decimals(fit.reduced_chi_square, 2)),
         ("rank", str(fit.rank)),
         *_picture_figures(fit.image),
     )
     gauge = (f"Left free by the picture: {', '.join(fit.gauge)}.",) if fit.gauge else ()
-    more = (failure,) if failure and failure != status.value else ()
+    failures = (failure,) if failure and failure != status.value else ()
     verdict = {Status.CONVERGED: "good", Status.SUSPECT: "suspect"}.get(status, "failed")
-    return StatusRow(name, status.value, verdict, more + gauge + fit.notes, figures)
+    return StatusRow(name, status.value, verdict, failures + gauge + fit.notes, figures)
 
 
 def _picture_figures(quality: ImageQuality | None) -> tuple[tuple[str, str], ...]:
@@ -223,10 +295,10 @@ def _picture_figures(quality: ImageQuality | None) -> tuple[tuple[str, str], ...
 
 
 def _window(fit: CameraFit, picture: PagePicture) -> Window:
-    """The part of the picture that holds the circles found."""
+    """Part of the image that contains the detected circles, with a margin."""
     detection = fit.detection
-    reach = np.sqrt(np.diagonal(detection.shape_px2, axis1=1, axis2=2))
-    corners = [detection.centres_px - reach, detection.centres_px + reach]
+    half_size = np.sqrt(np.diagonal(detection.shape_px2, axis1=1, axis2=2))
+    corners = [detection.centres_px - half_size, detection.centres_px + half_size]
     return Window.around(np.concatenate(corners), picture)
 
 

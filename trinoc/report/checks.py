@@ -15,7 +15,7 @@ from trinoc.report.frames_part import FramesPart
 
 
 class Level(enum.Enum):
-    """Outcome of a check, the worst first; the value is its text on the page."""
+    """Outcome of a check, from the worst to the best. The value is the text on the page."""
 
     BAD = "bad"
     CARE = "take care"
@@ -24,7 +24,10 @@ class Level(enum.Enum):
 
 
 class Subject(NamedTuple):
-    """The contents of a report that checks read; a check of missing contents answers None."""
+    """Contents of a report that its checks read.
+
+    Contents that the report does not have are None or empty, and their checks are omitted.
+    """
 
     result: CalibrationResult | None = None
     shots: CalibrationResult | None = None
@@ -39,10 +42,20 @@ class Subject(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """The number that is compared with the limits, as a figure and in a sentence.
+    """Result of a check before it is compared with limits.
 
-    part : the part of the page to look at, if another than that of the check.
-    remedy : what to do, if another than that of the check.
+    Attributes
+    ----------
+    value : float
+        Number that is compared with the limits.
+    figure : str
+        That number as text, with its unit.
+    explanation : str
+        Sentence that says what the number is.
+    part : str
+        Anchor of the section to look at; "" for the section of the check's row in the table.
+    remedy : str
+        What to do; "" for the remedy of the check's row in the table.
     """
 
     value: float
@@ -53,7 +66,23 @@ class Answer(NamedTuple):
 
 
 class ReportCheck(NamedTuple):
-    """One question, its answer as a figure and in a sentence, and the remedy if it is not good."""
+    """Result of a check, as the report shows it.
+
+    Attributes
+    ----------
+    question : str
+        Question that the check answers.
+    level : Level
+        Outcome.
+    figure : str
+        Deciding number as text.
+    explanation : str
+        Sentence that says what the number is.
+    remedy : str
+        What to do; "" if the outcome is good.
+    part : str
+        Anchor of the section to look at.
+    """
 
     question: str
     level: Level
@@ -64,12 +93,26 @@ class ReportCheck(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """A row of the table of checks: question, function that answers it, and limits.
+    """Row of the table of checks.
 
-    Fields
-    ------
-    good : the largest good value, or with `at_least` the smallest; None if the reader decides.
-    beyond : the level of a value that is not good; above `bad`, or not a number, it is bad.
+    Attributes
+    ----------
+    question : str
+        Question that the check answers.
+    part : str
+        Anchor of the section to look at.
+    good : float or None
+        Largest good value, or with `at_least` the smallest; None if the reader has to decide.
+    remedy : str
+        What to do if the value is not good.
+    answer : callable
+        Function that computes the `Answer` for a report, or None if the report lacks the contents.
+    beyond : Level
+        Outcome of a value that is not good.
+    bad : float
+        Limit above which the outcome is bad. It is also bad if the value is NaN.
+    at_least : bool
+        True if large values are good.
     """
 
     question: str
@@ -82,14 +125,14 @@ class Limits(NamedTuple):
     at_least: bool = False
 
     def check(self, subject: Subject) -> ReportCheck | None:
-        """The check, or None where nothing answers it."""
+        """Carry out the check on a report; None if the report lacks the contents."""
         answer = self.answer(subject)
         if answer is None:
             return None
         level = self._level(answer.value)
         remedy = "" if level is Level.GOOD else answer.remedy or self.remedy
-        part = answer.part or self.part
-        return ReportCheck(self.question, level, answer.figure, answer.explanation, remedy, part)
+        section = answer.part or self.part
+        return ReportCheck(self.question, level, answer.figure, answer.explanation, remedy, section)
 
     def _level(self, value: float) -> Level:
         if self.good is None:

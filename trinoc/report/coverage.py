@@ -19,9 +19,22 @@ _REACH = 0.9
 
 
 class Coverage(NamedTuple):
-    """An image with the points that were used and the outline around them.
+    """Part of one camera's image in which board points were used.
 
-    `share` is the area of the outline over that of the picture.
+    Attributes
+    ----------
+    name : str
+        Name of the camera.
+    picture : PagePicture
+        The image.
+    places_px : (n, 2)
+        Used circles or corners.
+    outline_px : (k, 2)
+        Their convex hull; empty for fewer than three points.
+    share : float
+        Area of the hull over the area of the image.
+    caption : str
+        Caption of the figure.
     """
 
     name: str
@@ -33,7 +46,17 @@ class Coverage(NamedTuple):
 
 
 class MeanResidual(NamedTuple):
-    """Mean residual of one part of the image: middle, tip of its arrow, and a description."""
+    """Mean residual in one cell of an image.
+
+    Attributes
+    ----------
+    u, v : float
+        Middle of the cell, px.
+    tip : (u, v)
+        Tip of the arrow that shows the residual, px.
+    description : str
+        Text that appears when the reader points at the arrow.
+    """
 
     u: float
     v: float
@@ -42,13 +65,24 @@ class MeanResidual(NamedTuple):
 
 
 class MeanResiduals(NamedTuple):
-    """Mean residuals of one camera over parts of its image.
+    """Mean residuals of one camera in the cells of its image.
 
-    Fields
-    ------
-    rms_px : root mean square length of the means.
-    over_chance : that length over the one expected from the scatter within the parts. It is near
-        1 if residuals do not depend on the position, and NaN with too few points.
+    Attributes
+    ----------
+    name : str
+        Name of the camera.
+    picture : PagePicture
+        Size of the image.
+    means : tuple of MeanResidual
+        Cells with enough points.
+    rms_px : float
+        Root mean square length of the mean residuals.
+    over_chance : float
+        That length over its expectation from the scatter within the cells. It is near 1 if
+        residuals
+        do not depend on the position in the image, and NaN with too few points.
+    caption : str
+        Caption of the figure.
     """
 
     name: str
@@ -60,7 +94,17 @@ class MeanResiduals(NamedTuple):
 
 
 class CameraPlaces(NamedTuple):
-    """All used points of one camera over its shots, and their residuals."""
+    """Used board points of one camera in all shots, and their residuals.
+
+    Attributes
+    ----------
+    picture : PagePicture
+        Size of the image.
+    places_px : (n, 2)
+        Detected points.
+    residuals_px : (n, 2)
+        Residuals, predicted minus observed.
+    """
 
     picture: PagePicture
     places_px: Float[np.ndarray, "n 2"]
@@ -70,7 +114,7 @@ class CameraPlaces(NamedTuple):
 def coverage_by_circles(
     result: CalibrationResult, pictures: dict[str, PagePicture]
 ) -> tuple[Coverage, ...]:
-    """Coverage of each camera that detected the sheet."""
+    """Coverage of each camera's image by the circles of the sheet."""
     count = len(result.pattern)
     used = {name: np.asarray(fit.used) for name, fit in result.fits.items()}
     return tuple(
@@ -85,10 +129,10 @@ def coverage_by_circles(
 
 
 def coverage_by_boards(points: dict[str, CameraPlaces]) -> tuple[Coverage, ...]:
-    """Coverage of each camera over all shots."""
+    """Coverage of each camera's image by the board points of all shots. points : by camera."""
     return tuple(
-        _coverage(name, of.picture, of.places_px, f"{len(of.places_px):,} places")
-        for name, of in points.items()
+        _coverage(name, places.picture, places.places_px, f"{len(places.places_px):,} places")
+        for name, places in points.items()
     )
 
 
@@ -105,7 +149,7 @@ def _coverage(
 
 
 def places_seen(result: CalibrationResult) -> dict[str, CameraPlaces]:
-    """Points and residuals by camera, without cameras that saw no board."""
+    """Used board points and residuals of each camera that detected a board."""
     points = {}
     for number, name in enumerate(result.cameras):
         observations = [
@@ -129,25 +173,35 @@ def places_seen(result: CalibrationResult) -> dict[str, CameraPlaces]:
 
 
 def mean_residuals(points: dict[str, CameraPlaces]) -> tuple[tuple[MeanResiduals, ...], Arrows]:
-    """Mean residuals of each camera, and the one scale of all arrows."""
-    averages = {name: _averages(of) for name, of in points.items()}
+    """Mean residuals in the cells of each camera's image, and the common scale of their arrows.
+
+    points : used board points and residuals by camera.
+    """
+    averages = {name: _averages(places) for name, places in points.items()}
     arrows = Arrows.reaching(
         [
             (
-                float(np.linalg.norm(of.mean_px, axis=1).max()),
+                float(np.linalg.norm(average.mean_px, axis=1).max()),
                 _REACH * points[name].picture.width_px / PARTS,
             )
-            for name, of in averages.items()
-            if len(of.mean_px)
+            for name, average in averages.items()
+            if len(average.mean_px)
         ]
     )
     return tuple(
-        _mean_residuals(name, of.picture, averages[name], arrows) for name, of in points.items()
+        _mean_residuals(name, places.picture, averages[name], arrows)
+        for name, places in points.items()
     ), arrows
 
 
 class _Averages(NamedTuple):
-    """Middles, means and counts of the parts with enough points; `over_chance` of all."""
+    """Mean residuals of one camera in the n cells of its image that have enough points.
+
+    middle_px : middles of the cells.
+    mean_px : mean residuals.
+    count : numbers of points.
+    over_chance : as in `MeanResiduals`.
+    """
 
     middle_px: Float[np.ndarray, "n 2"]
     mean_px: Float[np.ndarray, "n 2"]

@@ -28,7 +28,19 @@ PLACES, PLACES_OF_STRAIGHT = 25, 2
 
 
 class EpipolarCurve(NamedTuple):
-    """An epipolar line as the lens shows it, and the view whose point it belongs to."""
+    """Epipolar line in one image, which lens distortion bends.
+
+    Attributes
+    ----------
+    points_px : (n, 2)
+        Points of the curve.
+    source : str
+        Name of the view whose point determines the line.
+    colour : str
+        Colour of that point.
+    dashed : bool
+        True for the lines of all views but the first.
+    """
 
     points_px: Float[np.ndarray, "n 2"]
     source: str
@@ -37,7 +49,17 @@ class EpipolarCurve(NamedTuple):
 
 
 class Mark(NamedTuple):
-    """The point of one correspondence in one view."""
+    """Labelled point of one correspondence in one image.
+
+    Attributes
+    ----------
+    label : str
+        Label of the correspondence, equal in all views.
+    u, v : float
+        Position, px.
+    colour : str
+        Colour of the correspondence.
+    """
 
     label: str
     u: float
@@ -46,7 +68,9 @@ class Mark(NamedTuple):
 
 
 class EpipolarFigure(NamedTuple):
-    """One picture with the points of the correspondences and their partners' epipolar lines."""
+    """Figure of one image with its points of the correspondences and the epipolar lines of the
+    points in the other views.
+    """
 
     name: str
     picture: PagePicture
@@ -55,9 +79,24 @@ class EpipolarFigure(NamedTuple):
 
 
 class EpipolarPart(NamedTuple):
-    """The figures, the distances over all correspondences, and the numbers for clicks.
+    """Section of the report with corresponding points and their epipolar lines.
 
-    `largest_px` is the rms distance of the worst pair of views.
+    Attributes
+    ----------
+    key : str
+        Identifier on the page.
+    kind : str
+        Kind of points, as text.
+    figures : tuple of EpipolarFigure
+        Figure of each view.
+    count : int
+        Number of correspondences that all views show.
+    distances : tuple of (view, view, text)
+        Rms distance from the epipolar lines, px, of each pair of views.
+    largest_px : float
+        Largest of these distances.
+    cameras : list of dict
+        Numbers from which the page's script draws the lines of any point that the reader clicks.
     """
 
     key: str
@@ -70,10 +109,10 @@ class EpipolarPart(NamedTuple):
 
 
 def corrected_circle_centres(result: CalibrationResult) -> Float[np.ndarray, "n v 2"]:
-    """Images of the circles' centres: the ellipse centres less the shift that perspective adds.
+    """Images of the circles' centres, (n, v, 2) px: ellipse centres, corrected for perspective.
 
-    NaN where a view does not see a circle. Ellipse centres do not correspond between views;
-    the images of the circles' centres do.
+    Only the images of the centres correspond between views; the ellipse centres do not. NaN if a
+    view does not show a circle.
     """
     pattern, rig = result.pattern, result.rig
     points = np.full((len(pattern), len(rig), 2), np.nan)
@@ -86,7 +125,7 @@ def corrected_circle_centres(result: CalibrationResult) -> Float[np.ndarray, "n 
 
 
 def ends_of_tracks(matches: Matches) -> Float[np.ndarray, "n v 2"]:
-    """Corresponding ends of the fragments of the tracks that three or more views see."""
+    """Corresponding ends of fragments, (n, v, 2) px, of the tracks in three or more views."""
     fragments = np.asarray(matches.fragments_px)[np.asarray(matches.stage) == TRINOCULAR]
     return np.concatenate([fragments[:, :, 0], fragments[:, :, 1]])
 
@@ -98,31 +137,37 @@ def epipolar_part(
     points_px: Float[np.ndarray, "n v 2"],
     pictures: Mapping[str, PagePicture],
 ) -> EpipolarPart | None:
-    """Some of the corresponding points with their epipolar lines; None without three of them.
+    """Section with some of the corresponding points and the epipolar lines of each point in the
+    other views.
 
-    Each view shows, for every point, the epipolar lines of its partners in all other views.
+    Returns None with fewer than three points that all views show.
+
+    key : identifier on the page.
+    kind : kind of the points, as text.
+    points_px : (n, v, 2) corresponding points, NaN if a view does not show a point.
+    pictures : images by view.
     """
-    everywhere = points_px[np.isfinite(points_px).all(axis=(1, 2))]
-    if len(everywhere) < 3 or len(rig) < 2:
+    common_points = points_px[np.isfinite(points_px).all(axis=(1, 2))]
+    if len(common_points) < 3 or len(rig) < 2:
         return None
-    shown = _spread(everywhere, SHOWN)
+    shown_rows = _spread(common_points, SHOWN)
     grids = {name: _rays_over(camera) for name, camera in rig.items()}
     figures = []
     for view, (name, camera) in enumerate(rig.items()):
         marks = tuple(
             Mark(str(number + 1), float(u), float(v), PALETTE[number % len(PALETTE)])
-            for number, (u, v) in enumerate(everywhere[shown, view])
+            for number, (u, v) in enumerate(common_points[shown_rows, view])
         )
         curves = []
         for order, other in enumerate(v for v in range(len(rig)) if v != view):
-            planes = epipolar_planes(camera, rig.cameras[other], everywhere[shown, other])
+            planes = epipolar_planes(camera, rig.cameras[other], common_points[shown_rows, other])
             for plane, mark in zip(planes, marks, strict=True):
                 curve = _curve(grids[name], plane, camera.image_size_px)
                 if curve is not None:
                     curves.append(EpipolarCurve(curve, rig.names[other], mark.colour, order > 0))
         figures.append(EpipolarFigure(name, pictures[name], marks, tuple(curves)))
     distances = {
-        (first, second): _rms_distance_px(rig[first], rig[second], everywhere[:, [a, b]])
+        (first, second): _rms_distance_px(rig[first], rig[second], common_points[:, [a, b]])
         for a, first in enumerate(rig)
         for b, second in enumerate(rig)
         if a < b
@@ -131,7 +176,7 @@ def epipolar_part(
         key,
         kind,
         tuple(figures),
-        len(everywhere),
+        len(common_points),
         tuple((*pair, with_decimals(distance, 3)) for pair, distance in distances.items()),
         max(distances.values()),
         [_numbers(rig, name, grids[name]) for name in rig],
@@ -139,18 +184,24 @@ def epipolar_part(
 
 
 def _spread(points: Float[np.ndarray, "n v 2"], count: int) -> list[int]:
-    """Rows of points far apart in the first view: each next is the farthest from the earlier."""
+    """Rows of up to `count` points that are far apart in the first view.
+
+    Each further point is the one that is farthest from the points already chosen.
+    """
     first = points[:, 0]
-    chosen = [int(np.argmin(first.sum(axis=1)))]
-    nearest = np.full(len(points), np.inf)
-    while len(chosen) < min(count, len(points)):
-        nearest = np.minimum(nearest, np.linalg.norm(first - first[chosen[-1]], axis=1))
-        chosen.append(int(np.argmax(nearest)))
-    return chosen
+    rows = [int(np.argmin(first.sum(axis=1)))]
+    nearest_px = np.full(len(points), np.inf)
+    while len(rows) < min(count, len(points)):
+        nearest_px = np.minimum(nearest_px, np.linalg.norm(first - first[rows[-1]], axis=1))
+        rows.append(int(np.argmax(nearest_px)))
+    return rows
 
 
 def _rays_over(camera: Camera) -> Float[np.ndarray, "r c 3"]:
-    """Rays at a grid of pixels from corner to corner, as (x/z, y/z, 1) where all look forward."""
+    """Rays in the camera frame through a grid of r x c pixels that spans the image, (r, c, 3).
+
+    They are scaled to (x/z, y/z, 1) if all of them point forward.
+    """
     count = PLACES if camera.intrinsics.has_distortion else PLACES_OF_STRAIGHT
     width, height = camera.image_size_px
     u, v = np.meshgrid(np.linspace(0, width - 1, count), np.linspace(0, height - 1, count))
@@ -163,15 +214,18 @@ def _rays_over(camera: Camera) -> Float[np.ndarray, "r c 3"]:
 def _curve(
     rays: Float[np.ndarray, "r c 3"], plane: Float[np.ndarray, "3"], size_px: tuple[int, int]
 ) -> Float[np.ndarray, "n 2"] | None:
-    """An epipolar line as the lens shows it, or None where it misses the picture."""
-    parts = find_contours(rays @ plane, 0.0)
-    if not parts:
+    """Points (n, 2) px of an epipolar curve; None if the curve does not cross the image.
+
+    rays : rays of a grid of pixels that spans the image. plane : normal of the epipolar plane.
+    """
+    contours = find_contours(rays @ plane, 0.0)
+    if not contours:
         return None
-    longest = max(
-        parts, key=lambda part: float(np.linalg.norm(np.diff(part, axis=0), axis=1).sum())
+    contour = max(
+        contours, key=lambda part: float(np.linalg.norm(np.diff(part, axis=0), axis=1).sum())
     )
     # Rows and columns of the grid.
-    return longest[:, ::-1] * (np.array(size_px) - 1) / (np.array(rays.shape[1::-1]) - 1)
+    return contour[:, ::-1] * (np.array(size_px) - 1) / (np.array(rays.shape[1::-1]) - 1)
 
 
 def _rms_distance_px(a: Camera, b: Camera, points: Float[np.ndarray, "n 2 2"]) -> float:
@@ -180,7 +234,10 @@ def _rms_distance_px(a: Camera, b: Camera, points: Float[np.ndarray, "n 2 2"]) -
 
 
 def _numbers(rig: Rig, name: str, rays: Float[np.ndarray, "r c 3"]) -> dict[str, Any]:
-    """Numbers from which the page's script draws the epipolar lines of any point of this view."""
+    """Numbers from which the page's script draws epipolar lines into this view.
+
+    rays : rays of a grid of pixels that spans the image.
+    """
     camera = rig[name]
     return {
         "size": list(camera.image_size_px),
@@ -193,7 +250,7 @@ def _numbers(rig: Rig, name: str, rays: Float[np.ndarray, "r c 3"]) -> dict[str,
 
 @in_float64
 def rays_of_pixels(camera: Camera, uv_px: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
-    """Unit rays in the camera's frame, whatever its lens."""
+    """Unit rays of pixels in the camera frame, (n, 3), for any lens model."""
     return np.asarray(_rays(camera, _in_bucket(uv_px)))[: len(uv_px)]
 
 
@@ -201,9 +258,10 @@ def rays_of_pixels(camera: Camera, uv_px: Float[np.ndarray, "n 2"]) -> Float[np.
 def epipolar_planes(
     camera_b: Camera, camera_a: Camera, uv_a_px: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Unit normals, in the frame of view b, of the planes of points of view a and both centres.
+    """Unit normals of epipolar planes in the frame of camera b, (n, 3).
 
-    A pixel of view b lies on the epipolar curve where its ray is square to the normal.
+    Each plane contains both camera centres and the ray of a pixel of camera a. A pixel of camera b
+    lies on the epipolar curve if its ray is perpendicular to the normal.
     """
     return np.asarray(_planes(camera_b, camera_a, _in_bucket(uv_a_px)))[: len(uv_a_px)]
 
@@ -215,7 +273,9 @@ def epipolar_distances_px(
     uv_b_px: Float[np.ndarray, "n 2"],
     uv_a_px: Float[np.ndarray, "n 2"],
 ) -> Float[np.ndarray, "n"]:
-    """Distance of points of view b from the epipolar curves of their partners in view a, px."""
+    """Distance of points in view b from the epipolar curves of the corresponding points in view a,
+    px.
+    """
     distances = _distances_px(camera_b, camera_a, _in_bucket(uv_b_px), _in_bucket(uv_a_px))
     return np.asarray(distances)[: len(uv_b_px)]
 
@@ -224,7 +284,11 @@ def epipolar_distances_px(
 def shift_of_circle_centres(
     camera: Camera, centres_mm: Float[np.ndarray, "n 2"], radius_mm: Float[np.ndarray, "n"]
 ) -> Float[np.ndarray, "n 2"]:
-    """From the centre of each circle's image to the image of the circle's centre, in pixels."""
+    """Shift from the centre of each circle's elliptical image to the image of the circle's centre,
+    px.
+
+    centres_mm, radius_mm : the circles on the sheet Z = 0.
+    """
     return np.asarray(_centre_shifts(camera, centres_mm, radius_mm))
 
 

@@ -6,7 +6,7 @@ from trinoc.report.report_table import text_table
 
 
 def evaluation_text(evaluation: Evaluation) -> str:
-    """Table of the shares within each distance, then distances, angles and normalised errors."""
+    """Evaluation as text: shares within each distance, distances, angles and normalised errors."""
     head = ["within (mm)", *(f"{tolerance:g}" for tolerance in evaluation.tolerances_mm)]
     table = [
         [name, *(_number(share, 3) for share in shares)]
@@ -35,7 +35,9 @@ def evaluation_text(evaluation: Evaluation) -> str:
             f"shifted by ({shift}) mm"
         )
         if motion.rank < 6:
-            parts.append("the edges leave a part of this motion free, which was not moved")
+            parts.append(
+                "the edges do not determine a part of this motion, and this part was not applied"
+            )
     return "\n\n".join(parts)
 
 

@@ -19,7 +19,7 @@ _UNITS = ("mm", "px")
 
 
 def features_figure(features: Feature, rig: Rig | None = None) -> SpaceFigure:
-    """Figure in space of the features and of the cameras of `rig`."""
+    """3-D figure of features and, if `rig` is given, of its cameras."""
     figure = SpaceFigure(tuple(features_layers(features)), (), ())
     if rig is not None:
         figure = figure.join(cameras_in_space(rig))
@@ -31,13 +31,16 @@ def features_figure(features: Feature, rig: Rig | None = None) -> SpaceFigure:
 
 
 def with_features(figure: SpaceFigure, kinds: Iterable[Feature]) -> SpaceFigure:
-    """A figure of the segments with layers of features added."""
-    more = tuple(layer for features in kinds for layer in features_layers(features))
-    return figure.join(SpaceFigure(more, (), ()))
+    """Add layers of features to a 3-D figure of the segments."""
+    layers = tuple(layer for features in kinds for layer in features_layers(features))
+    return figure.join(SpaceFigure(layers, (), ()))
 
 
 def features_layers(features: Feature) -> list[LineLayer]:
-    """Layers of lines for the features, with descriptions: one, or several for a wire frame."""
+    """Layers of lines that show features in a 3-D figure, with descriptions.
+
+    A wire frame has several layers, other features have one.
+    """
     if isinstance(features, Wireframe):
         return wireframe_layers(features)
     if not len(features):
@@ -66,7 +69,7 @@ def _describe(features: Feature, row: int, values: dict[str, str]) -> str:
 
 
 def list_numbers(features: Feature) -> list[dict[str, str]]:
-    """For each feature the columns that people read first, as text by name."""
+    """Most important columns of each feature, as text by column name."""
     numbers: list[dict[str, str]] = [{} for _ in range(len(features))]
     for column in features.READ_FIRST:
         stem, unit = _split_unit(column)
@@ -82,7 +85,7 @@ def list_numbers(features: Feature) -> list[dict[str, str]]:
 
 
 def feature_table(features: Feature) -> ReportTable:
-    """A row for each feature: the columns that people read first, and its number of segments."""
+    """Table with a row for each feature: the most important columns and the number of segments."""
     numbers = list_numbers(features)
     head = (features.KIND.removesuffix("s"), *(numbers[0] if numbers else ()), "segments")
     counts = [sum(map(len, features.segments_of(row).values())) for row in range(len(features))]
@@ -91,13 +94,13 @@ def feature_table(features: Feature) -> ReportTable:
 
 
 def features_text(features: Feature) -> str:
-    """A sentence on all features, and a line for each."""
+    """Features as text: a sentence about all features, and a line for each."""
     lines = describe_features(features) if features.READ_FIRST else []
     return "\n".join([features.summary(), *lines])
 
 
 def features_record(features: Feature) -> dict[str, Any]:
-    """The features for programs, as JSON holds them."""
+    """Features as a JSON object."""
     record: dict[str, Any] = {}
     if features.READ_FIRST:
         columns = {
@@ -124,28 +127,31 @@ INSET = 0.93
 
 
 def wireframe_layers(frame: Wireframe) -> list[LineLayer]:
-    """Layers of edges, faces and vertices; edges and vertices are described with their sigmas."""
+    """Layers of the edges, faces and vertices of a wire frame.
+
+    Edges and vertices have descriptions with their sigmas.
+    """
     lines, points = frame.lines_mm, frame.vertices_mm
     layers = []
     for checked, role, name in (
         (True, "three", "edges seen in three or more views"),
         (False, "two", "edges seen in two views"),
     ):
-        chosen = np.flatnonzero(frame.checked == checked).tolist()
-        if chosen:
-            descriptions = tuple(describe_edge(frame, edge) for edge in chosen)
-            parts = [lines[edge] for edge in chosen]
-            layers.append(LineLayer(f"{name} ({len(chosen)})", role, parts, True, (), descriptions))
+        rows = np.flatnonzero(frame.checked == checked).tolist()
+        if rows:
+            descriptions = tuple(describe_edge(frame, edge) for edge in rows)
+            parts = [lines[edge] for edge in rows]
+            layers.append(LineLayer(f"{name} ({len(rows)})", role, parts, True, (), descriptions))
     if len(frame.planes):
         parts = [_outline(points[loop]) for loop in frame.faces]
         layers.append(LineLayer(f"planar faces ({len(parts)})", "sheet", parts))
     for corner, name in ((True, "corners"), (False, "free ends")):
-        chosen = np.flatnonzero(frame.corner == corner).tolist()
-        if chosen:
-            descriptions = tuple(_describe_vertex(frame, vertex) for vertex in chosen)
-            parts = [points[vertex][None] for vertex in chosen]
+        rows = np.flatnonzero(frame.corner == corner).tolist()
+        if rows:
+            descriptions = tuple(_describe_vertex(frame, vertex) for vertex in rows)
+            parts = [points[vertex][None] for vertex in rows]
             layers.append(
-                LineLayer(f"{name} ({len(chosen)})", "ellipsoids", parts, corner, (), descriptions)
+                LineLayer(f"{name} ({len(rows)})", "ellipsoids", parts, corner, (), descriptions)
             )
     return layers
 

@@ -28,7 +28,17 @@ _DARKEST = 3.0
 
 
 class Scale(NamedTuple):
-    """Scale of the numbers of a map: the largest one, and whether the unit is a thousandth."""
+    """Common scale and unit of the numbers in a group of maps.
+
+    Attributes
+    ----------
+    largest : float
+        Largest number, which has the darkest shade.
+    thousandths : bool
+        True if the numbers are shown in thousandths of their unit.
+    decimals : int
+        Decimals of the numbers.
+    """
 
     largest: float
     thousandths: bool
@@ -36,7 +46,7 @@ class Scale(NamedTuple):
 
     @classmethod
     def of(cls, values: Float[np.ndarray, "n"]) -> "Scale":
-        """Two digits of the largest, no more than four for the others."""
+        """Scale for values, (n,), that shows two digits of the largest value."""
         finite = values[np.isfinite(values)]
         largest = max(float(finite.max()), 1e-12) if len(finite) else 1.0
         small = largest < 0.05
@@ -44,11 +54,11 @@ class Scale(NamedTuple):
 
     @property
     def px(self) -> str:
-        """The unit of the numbers, where they are pixels."""
+        """Unit of the numbers if the values are in pixels."""
         return "thousandths of a px" if self.thousandths else "px"
 
     def cell(self, value: float) -> "FieldCell":
-        """A number of the map."""
+        """Cell of a map that shows a value; "?" for NaN."""
         if not np.isfinite(value):
             return FieldCell("?", 0.0)
         text = f"{value * (1000 if self.thousandths else 1):.{self.decimals}f}"
@@ -56,7 +66,19 @@ class Scale(NamedTuple):
 
 
 class FieldCell(NamedTuple):
-    """A part of a map: its number, its shade (0 to 1), a second number, and a description."""
+    """Cell of a map.
+
+    Attributes
+    ----------
+    text : str
+        Number that the cell shows.
+    shade : float
+        Darkness, 0 to 1.
+    below : str
+        Second number, below the first.
+    description : str
+        Text that appears when the reader points at the cell.
+    """
 
     text: str
     shade: float
@@ -65,7 +87,25 @@ class FieldCell(NamedTuple):
 
 
 class FieldMap(NamedTuple):
-    """A grid of cells over a picture, or over the sheet where `picture` is None."""
+    """Map of cells over an image or over the sheet.
+
+    Attributes
+    ----------
+    name : str
+        Name of the camera or of the plane.
+    caption : str
+        Caption of the map.
+    picture : PagePicture or None
+        Image below the map; None for a map over the sheet.
+    window : Window
+        Region of the map, in px or mm.
+    cell : (width, height)
+        Size of a cell.
+    middles : (n, 2)
+        Middles of the cells.
+    cells : tuple of FieldCell
+        The n cells, row by row.
+    """
 
     name: str
     caption: str
@@ -77,7 +117,17 @@ class FieldMap(NamedTuple):
 
 
 class FieldLevel(NamedTuple):
-    """Maps of one height or distance; the page shows those that `stand` first, and on paper."""
+    """Maps for one height above the sheet or one distance from the cameras.
+
+    Attributes
+    ----------
+    name : str
+        Height or distance, as text.
+    maps : tuple of FieldMap
+        One map for the rig, or one for each camera.
+    stands : bool
+        True if the maps are visible when the page opens and on paper.
+    """
 
     name: str
     maps: tuple[FieldMap, ...]
@@ -85,10 +135,17 @@ class FieldLevel(NamedTuple):
 
 
 class FieldPart(NamedTuple):
-    """Maps of epipolar lines (px) and of points in space (mm), by the errors of the cameras alone.
+    """Section with maps of the uncertainty that the errors of the cameras cause.
 
-    `worst_mm` is the largest sigma of a point on the levels that stand. The middle, where all axes
-    meet, would be too good a measure: the sigma is smallest there, or zero.
+    Attributes
+    ----------
+    pictures : tuple of FieldMap
+        Sigma across epipolar lines, px, over each image.
+    planes : tuple of FieldLevel
+        Largest sigma of a point in space, mm, in planes parallel to the sheet.
+    worst_mm : float
+        Largest of these sigmas on the levels with `stands`. The sigma in the middle, where all
+        optical axes meet, would be misleadingly small.
     """
 
     pictures: tuple[FieldMap, ...]
@@ -97,8 +154,19 @@ class FieldPart(NamedTuple):
 
 
 class Uncertainty(NamedTuple):
-    """Maps of the cameras from half the boards' distance on, for a board of exactly the stated
-    size; the largest number of those that are farther; and the statement on the whole.
+    """Section with the sigma of the pixel at which each camera images a point, for a rig from
+    shots.
+
+    The size of the board is assumed exact.
+
+    Attributes
+    ----------
+    levels : tuple of FieldLevel
+        Maps at several distances, from half the distance of the boards.
+    worst_farther_px : float
+        Largest sigma at the farther of the distances that the page shows first.
+    at_boards : PixelSigma
+        Summary at the distance of the boards.
     """
 
     levels: tuple[FieldLevel, ...]
@@ -109,10 +177,7 @@ class Uncertainty(NamedTuple):
 def _over_picture(
     name: str, caption: str, picture: PagePicture, cells: Sequence[FieldCell]
 ) -> FieldMap:
-    """A map of equal parts of a picture, row by row.
-
-    Places of the library's maps reach from edge to edge; their numbers stand in the parts.
-    """
+    """Map of equal cells over an image, row by row, with these contents."""
     cell = np.array([picture.width_px, picture.height_px]) / PLACES
     grid = np.stack(np.meshgrid(np.arange(PLACES), np.arange(PLACES)), axis=-1).reshape(-1, 2)
     middles = (grid + 0.5) * cell - 0.5
@@ -133,7 +198,10 @@ def field_part(
     matches: Matches | None,
     pictures: dict[str, PagePicture],
 ) -> FieldPart | None:
-    """Maps of epipolar lines and points; None for one camera, or a rig without a covariance."""
+    """Section with maps of the uncertainty that the errors of the cameras cause.
+
+    Returns None for one camera, or for a rig without a covariance.
+    """
     if not len(rig.parameters) or len(rig) < 2:
         return None
     worst = {
@@ -156,14 +224,17 @@ def field_part(
 def _planes(
     rig: Rig, pattern: Pattern | None, matches: Matches | None
 ) -> tuple[tuple[FieldLevel, ...], float]:
-    """Maps of levels; the lower and the upper end of what the rig looks at stand."""
+    """Maps of the sigma of a point in planes parallel to the sheet, and the largest sigma, mm.
+
+    The planes at the lower and the upper end of the segments, or near the sheet, are shown first.
+    """
     box = content_box(pattern, matches)
     if box is None:
         return (), np.nan
     size = box.high_mm - box.low_mm
     side = float(size[:2].max())
-    flat = matches is None or not len(matches)
-    low, high = (0.0, 0.25 * side) if flat else (float(box.low_mm[2]), float(box.high_mm[2]))
+    is_empty = matches is None or not len(matches)
+    low, high = (0.0, 0.25 * side) if is_empty else (float(box.low_mm[2]), float(box.high_mm[2]))
     below, within, above = LEVELS
     heights = np.concatenate(
         [
@@ -196,7 +267,10 @@ def _planes(
 def _point_sigmas(
     rig: Rig, xy_mm: Float[np.ndarray, "n 2"], height_mm: float
 ) -> Float[np.ndarray, "n"]:
-    """Sigma along the worst direction, mm, of points that all cameras see exactly."""
+    """Largest principal sigma, mm, of points at one height, whose pixels are exact in all cameras.
+
+    xy_mm : (n, 2) positions in the plane.
+    """
     covariance = point_covariance(rig, np.insert(xy_mm, 2, height_mm, axis=1))
     valid = np.isfinite(covariance).all(axis=(1, 2))
     sigmas = np.full(len(xy_mm), np.nan)
@@ -205,8 +279,10 @@ def _point_sigmas(
 
 
 def uncertainty_maps(result: CalibrationResult) -> Uncertainty | None:
-    """Sigma of the pixel at which each camera images a point, for a board of exactly the stated
-    size; None without a rig or a covariance."""
+    """Section with the sigma of the pixel at which each camera images a point.
+
+    The size of the board is assumed exact. Returns None without a rig or its covariance.
+    """
     pixel_sigma = result.pixel_sigma
     if pixel_sigma is None:
         return None
@@ -236,9 +312,10 @@ def _draw_maps(
 
 
 def halves_maps(result: CalibrationResult) -> tuple[tuple[FieldMap, ...], ...]:
-    """Disagreement of two halves of the shots, in px and in reported sigmas.
+    """Maps of the difference between the pixels that two halves of the shots predict.
 
-    Maps of the cameras at the distance of the boards, and farther; nothing without halves.
+    The cells show the difference in px and in reported sigmas. The first group of maps is for the
+    distance of the boards, the second for a larger distance. Empty without halves.
     """
     if not result.has_rig or result.halves is None or not result.halves.over_field:
         return ()

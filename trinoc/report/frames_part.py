@@ -24,16 +24,24 @@ RUNS, LEAST_RUN = 10, 5
 
 
 class FrameFate(NamedTuple):
-    """Result of one frame; numbers are NaN if it failed.
+    """Result of one frame of a recording.
 
-    Fields
-    ------
-    tracks : in three views or more, of two views in both.
-    share : of all segments, those on a track.
-    agreement : the noise scale of its matches.
-    problem : why it failed or is suspect; empty if it is well.
-    status : that of its matches in small letters; "failed" without any.
-    care : why it is to be used with care; empty if it is not.
+    Attributes
+    ----------
+    name : str
+        Name of the frame.
+    tracks : float
+        Number of tracks in three views or more, or in both of two views. NaN if the frame failed.
+    share : float
+        Share of all segments that are on a track, 0 to 1. NaN if the frame failed.
+    agreement : float
+        Noise scale of the matches: estimated over stated sigma. NaN without tracks in three views.
+    problem : str
+        Reason why the frame failed or is suspect; "" for a good frame.
+    status : str
+        Status of the matches in small letters, or "failed".
+    care : str
+        Reason why the matches are to be used with care; "" if they are not.
     """
 
     name: str
@@ -46,12 +54,16 @@ class FrameFate(NamedTuple):
 
 
 class FrameChart(NamedTuple):
-    """A number of the frames over time.
+    """Chart of one number over the frames of a recording.
 
-    Fields
-    ------
-    low, high : the ends of its axis, in words.
-    points : (n, 3) least, median and largest number in each column, as shares of the axis.
+    Attributes
+    ----------
+    title : str
+        Title of the chart.
+    low, high : str
+        Lower and upper end of the axis, as text.
+    points : (n, 3)
+        Least, median and largest number of the frames in each column, as shares of the axis.
     """
 
     title: str
@@ -61,9 +73,24 @@ class FrameChart(NamedTuple):
 
 
 class FramesPart(NamedTuple):
-    """Charts of all frames, the frames to look at, and the middle one, which is shown whole.
+    """Section of the report with all frames of a recording.
 
-    `agreement` holds the medians of the noise scales of frames in a row, the first run first.
+    Attributes
+    ----------
+    frames : tuple of FrameFate
+        Results of all frames.
+    charts : tuple of FrameChart
+        Charts over all frames.
+    bad : tuple of float
+        Positions of the frames with a problem on the charts' axis, 0 to 1.
+    to_look_at : tuple of FrameFate
+        Frames with a problem or few tracks, at most `LISTED`.
+    omitted : int
+        Number of such frames that `to_look_at` omits.
+    middle : str
+        Name of the frame with the median number of tracks, which the report shows in full.
+    agreement : (r,)
+        Medians of the noise scale over groups of consecutive frames.
     """
 
     frames: tuple[FrameFate, ...]
@@ -76,7 +103,7 @@ class FramesPart(NamedTuple):
 
     @property
     def table(self) -> ReportTable:
-        """The frames to look at, and why."""
+        """Table of the frames to look at, with the reasons."""
         rows = [
             [
                 frame.name,
@@ -91,45 +118,56 @@ class FramesPart(NamedTuple):
 
 
 def frames_part(frames: Mapping[str, Matches | None], failures: Mapping[str, str]) -> FramesPart:
-    """Summarise the results of all frames, reading one at a time.
+    """Summarise the results of all frames, and read one frame at a time.
 
-    Raises InputError where all frames failed: there is nothing to show.
+    frames : matches by frame name; None for a failed frame. failures : reasons by frame name.
+
+    Raises InputError if all frames failed.
     """
     fates = tuple(_frame_fate(name, frames[name], failures.get(name, "")) for name in frames)
-    well = [fate for fate in fates if not fate.problem] or [
+    good_fates = [fate for fate in fates if not fate.problem] or [
         fate for fate in fates if np.isfinite(fate.tracks)
     ]
-    if not well:
+    if not good_fates:
         raise InputError("Every frame failed: there is nothing to report but the manifest.")
-    tracks = np.array([fate.tracks for fate in well])
+    tracks = np.array([fate.tracks for fate in good_fates])
     median = float(np.median(tracks))
-    middle = well[int(np.argmin(np.abs(tracks - median)))].name
-    few = f"fewer tracks than {percent(FEW)} of the median ({median:.0f})"
+    middle = good_fates[int(np.argmin(np.abs(tracks - median)))].name
+    few_tracks = f"fewer tracks than {percent(FEW)} of the median ({median:.0f})"
     # Where most frames are to be used with care, such as those of two views, one is not listed.
-    is_usual = sum(bool(fate.care) for fate in well) > len(well) / 2
-    odd = []
+    is_usual = sum(bool(fate.care) for fate in good_fates) > len(good_fates) / 2
+    fates_to_look_at = []
     for fate in fates:
-        why = fate.problem or ("" if is_usual else fate.care)
-        if why or fate.tracks < FEW * median:
-            odd.append(fate._replace(problem=why or few))
-    numbers = np.array([(f.tracks, f.share, f.agreement) for f in fates]).T
-    many, share, agreement = (_columns(row) for row in numbers)
-    most_tracks = max(float(np.nanmax(numbers[0])), 1.0)
-    noisiest = max(float(np.nanmax(numbers[2], initial=0.0)), 2.0)
+        problem = fate.problem or ("" if is_usual else fate.care)
+        if problem or fate.tracks < FEW * median:
+            fates_to_look_at.append(fate._replace(problem=problem or few_tracks))
+    fate_values = np.array([(f.tracks, f.share, f.agreement) for f in fates]).T
+    tracks_chart, share_chart, agreement_chart = (_columns(row) for row in fate_values)
+    most_tracks = max(float(np.nanmax(fate_values[0])), 1.0)
+    noisiest = max(float(np.nanmax(fate_values[2], initial=0.0)), 2.0)
     charts = (
-        FrameChart("Tracks", "0", f"{most_tracks:.0f}", many / most_tracks),
-        FrameChart("Segments on a track", "0 %", "100 %", share),
+        FrameChart("Tracks", "0", f"{most_tracks:.0f}", tracks_chart / most_tracks),
+        FrameChart("Segments on a track", "0 %", "100 %", share_chart),
         FrameChart(
             "Views apart, in sigmas",
             "0",
             with_decimals(noisiest, 1),
-            agreement / noisiest,
+            agreement_chart / noisiest,
         ),
     )
-    bad = tuple((number + 0.5) / len(fates) for number, fate in enumerate(fates) if fate.problem)
+    problem_positions = tuple(
+        (number + 0.5) / len(fates) for number, fate in enumerate(fates) if fate.problem
+    )
     return FramesPart(
-        *(fates, charts, bad, tuple(odd[:LISTED]), max(len(odd) - LISTED, 0), middle),
-        _run_medians(np.array([fate.agreement for fate in well])),
+        *(
+            fates,
+            charts,
+            problem_positions,
+            tuple(fates_to_look_at[:LISTED]),
+            max(len(fates_to_look_at) - LISTED, 0),
+            middle,
+        ),
+        _run_medians(np.array([fate.agreement for fate in good_fates])),
     )
 
 
@@ -151,7 +189,10 @@ def _frame_fate(name: str, matches: Matches | None, failure: str) -> FrameFate:
 
 
 def _columns(values: Float[np.ndarray, "f"]) -> Float[np.ndarray, "n 3"]:
-    """Least, median and largest number of the frames in each column; NaN if all failed."""
+    """Least, median and largest value of the frames in each column of a chart, (n, 3).
+
+    NaN if all frames of a column failed.
+    """
     columns = []
     for part in np.array_split(values, min(COLUMNS, len(values))):
         finite = part[np.isfinite(part)]

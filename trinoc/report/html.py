@@ -46,7 +46,19 @@ from trinoc.report.verdict import Verdict, find_verdict
 
 
 class ReportPart(NamedTuple):
-    """A section of the page: its anchor and title, and the template that draws its values."""
+    """Section of the page.
+
+    Attributes
+    ----------
+    anchor : str
+        Identifier of the section in links.
+    title : str
+        Heading.
+    template : str
+        Name of the template that draws the section.
+    values : object
+        Values that the template shows.
+    """
 
     anchor: str
     title: str
@@ -55,7 +67,19 @@ class ReportPart(NamedTuple):
 
 
 class ExtraTable(NamedTuple):
-    """A table that the caller adds to the page, such as a score against a known truth."""
+    """Additional table of the page, such as a score against a known truth.
+
+    Attributes
+    ----------
+    title : str
+        Heading.
+    head : sequence of str
+        Names of the columns.
+    rows : sequence of sequence of str
+        Cells of each row.
+    caption : str
+        Sentence above the table.
+    """
 
     title: str
     head: Sequence[str]
@@ -85,31 +109,56 @@ def write_report(
 ) -> None:
     """Write a self-contained HTML page about a calibration, a matching, or both.
 
-    The page has only the parts that it is given something for, and makes no request to any
-    network. The file is whole or not there; equal inputs give equal bytes. A fit that failed has
-    its shots and residuals shown, and no rig.
+    The page has a section for each kind of argument that is given. It needs no network, and equal
+    inputs give equal bytes. The file is complete or absent.
 
     Parameters
     ----------
-    result : of `calibrate`, with `sheet_pictures`, (rows, columns[, channels]) per camera; or of
-        `calibrate_rig`, alone, with `advice`, a sentence on what to do next, and `shot_pictures`,
-        the images that it was given, on which residuals are drawn. They may be functions; those of
-        at most 12 shots per camera are called.
-    rig : the cameras that `matches` was made with; by default that of `result`.
-    segments, matches : found in `scene_pictures`, each optional.
-    reference, reference_name : known cameras to stand beside the recovered ones.
-    tables : further tables, shown after the matches.
-    provenance : what to say at the foot: command, version, files.
-    doubts : for cameras of `rig` whose calibration was suspect, why.
-    features : found in `matches`, shown among them in space and as tables.
-    recording : all frames of it; `matches` are those of its middle one.
+    path : path
+        File to write.
+    result : CalibrationResult, optional
+        Result of `calibrate`, or of `calibrate_rig`. The latter cannot be combined with matches. If
+        it
+        failed, the page shows its shots and residuals only.
+    shot_pictures : mapping of camera to images, optional
+        Images that were given to `calibrate_rig`; residuals are drawn on them. Images may be
+        functions
+        that return an image; at most 12 per camera are called.
+    sheet_pictures : mapping of camera to (h, w) or (h, w, channels), optional
+        Images that were given to `calibrate`.
+    rig : Rig, optional
+        Cameras of `matches` and `segments`; by default those of `result`.
+    segments : mapping of view to Segments, optional
+        Segments that were matched.
+    matches : Matches, optional
+        Matches. Cameras of the rig without a view are omitted, with a note on the page.
+    scene_pictures : mapping of view to (h, w) or (h, w, channels), optional
+        Images in which the segments were found.
+    reference : Rig, optional
+        Known cameras to compare with the estimated ones.
+    reference_name : str
+        Name of `reference` on the page.
+    title : str
+        Title of the page.
+    tables : sequence of ExtraTable
+        Additional tables, shown after the matches.
+    provenance : mapping of str to str, optional
+        Names and values at the end of the page, such as command, version and files.
+    doubts : mapping of camera to str, optional
+        Reason for each camera of `rig` whose calibration was suspect.
+    features : sequence of Feature
+        Features of the matches, such as joined lines, shown in space and in tables.
+    advice : str
+        Sentence on the next shot, for a result of `calibrate_rig`.
+    recording : FramesPart, optional
+        All frames of a recording; `matches` are those of its middle frame.
 
-    A rig may have more cameras than the matches, or else the segments, have views: without a
-    calibration these are left out, which the page notes.
-
-    Raises InputError where neither a rig nor a calibration nor segments are given, where the
-    rig lacks a camera of the segments or matches, where many shots stand beside matches, or where
-    `path` cannot be written.
+    Raises
+    ------
+    InputError
+        If there is no rig, calibration or segments, if the rig lacks a camera of the segments or
+        matches, if a result of `calibrate_rig` is combined with matches, or if the file cannot be
+        written.
     """
     content = {name: value for name, value in locals().items() if name != "path"}
     write_text(path, render_report(**content))
@@ -134,10 +183,12 @@ def render_report(
     advice: str = "",
     recording: FramesPart | None = None,
 ) -> str:
-    """The page of `write_report` as text."""
+    """Return the page that `write_report` writes, as text. The arguments are the same."""
     if result is not None and result.views:
         if matches is not None or segments:
-            raise InputError("A report on many shots stands alone: write another for the rest.")
+            raise InputError(
+                "A report on many shots contains nothing else: write a second report for the rest."
+            )
         parts, subject = _parts_of_shots(result, advice)
         images = shot_images_part(result, shot_pictures)
         if images is None:
@@ -152,9 +203,9 @@ def render_report(
         raise InputError("A report needs a rig or a calibration: give at least one of them.")
     views = matches.views if matches is not None else tuple(segments or {})
     _check_views("segments" if matches is None else "matches", views, rig)
-    scene_rig, others = rig.take(views or rig.names), ()
+    scene_rig, cameras_without_view = rig.take(views or rig.names), ()
     if result is None:
-        others = tuple(name for name in rig if name not in scene_rig.names)
+        cameras_without_view = tuple(name for name in rig if name not in scene_rig.names)
         rig = scene_rig
     sizes = {name: camera.image_size_px for name, camera in rig.items()}
     if result is not None:
@@ -174,7 +225,7 @@ def render_report(
     parts = []
     if recording is not None:
         parts.append(ReportPart("recording", "All frames", "recording", recording))
-    cameras = cameras_part(rig, result, reference, reference_name, others)
+    cameras = cameras_part(rig, result, reference, reference_name, cameras_without_view)
     parts.append(ReportPart("cameras", "Cameras", "cameras", cameras))
     if result is not None and result.fits:
         values = sheet_part(result, subject.coverage, sheet)
@@ -184,16 +235,16 @@ def render_report(
     if subject.epipolar:
         parts.append(ReportPart("epipolar", "Epipolar check", "epipolar", subject.epipolar))
     if segments or matches is not None:
-        lines = matches_part(views, segments or {}, matches, scene)
-        if lines.segments:
-            parts.append(ReportPart("segments", "Segments found", "segments", lines))
+        section = matches_part(views, segments or {}, matches, scene)
+        if section.segments:
+            parts.append(ReportPart("segments", "Segments found", "segments", section))
         if matches is not None:
-            parts.append(ReportPart("matches", "Matched segments", "matches", lines))
-            parts.append(ReportPart("counts", "Counts, and why not", "counts", lines))
-    listed = [each for each in features if each.READ_FIRST]
-    titled = [(each.IN_WORDS.capitalize(), feature_table(each)) for each in listed]
-    titled += [(t.title, ReportTable(t.head, t.rows, note=t.caption)) for t in tables]
-    for number, (heading, table) in enumerate(titled, 1):
+            parts.append(ReportPart("matches", "Matched segments", "matches", section))
+            parts.append(ReportPart("counts", "Counts, and why not", "counts", section))
+    listed_features = [each for each in features if each.READ_FIRST]
+    titled_tables = [(each.IN_WORDS.capitalize(), feature_table(each)) for each in listed_features]
+    titled_tables += [(t.title, ReportTable(t.head, t.rows, note=t.caption)) for t in tables]
+    for number, (heading, table) in enumerate(titled_tables, 1):
         parts.append(ReportPart(f"table-{number}", heading, "table", table))
     space = space_figure(rig, pattern, matches)
     parts.append(_space_part(with_features(space, features), tracks=matches is not None))
@@ -203,7 +254,7 @@ def render_report(
 
 
 def judge_shots(shots: CalibrationResult) -> Verdict | None:
-    """The verdict that the report on a rig from many shots begins with."""
+    """Verdict on a rig from many shots, as shown at the top of its report."""
     return find_verdict(_parts_of_shots(shots, "")[1])
 
 
@@ -267,7 +318,7 @@ def _space_part(figure: SpaceFigure, *, tracks: bool) -> ReportPart:
 
 
 def render_space(figure: SpaceFigure, *, title: str) -> str:
-    """The interactive figure alone on a page."""
+    """Return a page that contains only the interactive 3-D figure."""
     if not figure.views:
         view = SpaceView("Nothing", Box.around(np.zeros((1, 3)), 0.5))
         figure = figure._replace(views=(view,))
@@ -283,7 +334,7 @@ def _render(
     pictures: Sequence[PagePicture] = (),
     world: str = "",
 ) -> str:
-    """The text of the page. No text of a user becomes markup."""
+    """Return the HTML of the page. All texts are escaped, so no text of a user becomes markup."""
     return (
         _templates()
         .get_template("page.html.j2")
@@ -316,5 +367,5 @@ def _check_views(what: str, names: Sequence[str], rig: Rig) -> None:
     if not set(names) <= set(rig.names):
         raise InputError(
             f"The views of the {what} are {list_names(names)}, but the cameras of the rig are "
-            f"{list_names(rig)}: give the rig that the {what} belong to."
+            f"{list_names(rig)}: give the rig that belongs to the {what}."
         )

@@ -38,20 +38,23 @@ class PlacedLabel(NamedTuple):
 def place_labels(
     texts: Sequence[str], lines_px: Float[np.ndarray, "n 2 2"], window: Window
 ) -> list[PlacedLabel]:
-    """Labels beside their lines that do not overlap; those without a free position are left out."""
-    taken: list[tuple[float, float, float, float]] = []
+    """Place labels next to their lines (n, 2 ends, 2) px, so that no two labels overlap.
+
+    A label without a free position is omitted.
+    """
+    occupied_boxes: list[tuple[float, float, float, float]] = []
     labels = []
     for text, (first, second) in zip(texts, lines_px, strict=True):
         along = second - first
         length = float(np.hypot(*along))
         across = np.array([-along[1], along[0]]) / (length + 1e-9) * AWAY * window.unit
-        half = np.array([len(text) * LETTER, HEIGHT]) * window.unit / 2
+        half_size = np.array([len(text) * LETTER, HEIGHT]) * window.unit / 2
         for share, side in ((share, side) for share in PLACES for side in (1, -1)):
             middle = first + share * along + side * across
-            low, high = middle - half, middle + half
+            low, high = middle - half_size, middle + half_size
             box = (*low.tolist(), *high.tolist())
-            if _inside(box, window) and not any(_overlap(box, other) for other in taken):
-                taken.append(box)
+            if _inside(box, window) and not any(_overlap(box, other) for other in occupied_boxes):
+                occupied_boxes.append(box)
                 labels.append(PlacedLabel(float(middle[0]), float(middle[1]), text))
                 break
     return labels
@@ -75,10 +78,20 @@ NUMBERED = 14
 
 
 class Stroke(NamedTuple):
-    """A segment or a fragment on an image.
+    """Segment or fragment that is drawn on an image.
 
-    track : number of its track; -1 if it is on no track.
-    matched : whether it was matched; None if there are no matches.
+    Attributes
+    ----------
+    u1, v1, u2, v2 : float
+        Ends, px.
+    track : int
+        Index of its track; -1 if it is on no track.
+    colour : str
+        Colour; "" for the default.
+    description : str
+        Text that appears when the reader points at the stroke.
+    matched : bool, optional
+        True if the segment was matched; None if there are no matches.
     """
 
     u1: float
@@ -92,7 +105,23 @@ class Stroke(NamedTuple):
 
 
 class SegmentsFigure(NamedTuple):
-    """The strokes over one image, and the ends of the segments drawn faintly behind them."""
+    """Figure of segments or fragments over one image.
+
+    Attributes
+    ----------
+    name : str
+        Name of the view.
+    picture : PagePicture
+        The image.
+    strokes : tuple of Stroke
+        Segments or fragments.
+    faint : (n, 2, 2)
+        Ends, px, of further segments, drawn faintly behind the strokes.
+    caption : str
+        Caption of the figure.
+    labels : tuple of PlacedLabel
+        Indices of the longest tracks.
+    """
 
     name: str
     picture: PagePicture
@@ -105,7 +134,10 @@ class SegmentsFigure(NamedTuple):
 def segments_figure(
     name: str, segments: Segments, matches: Matches | None, picture: PagePicture
 ) -> SegmentsFigure:
-    """All segments of one view, each with its longest track or the reason why it has none."""
+    """Figure of all segments of one view.
+
+    Each segment is described by its longest track, or by the reason why it is on none.
+    """
     reasons = None if matches is None else matches.reasons.get(name)
     track_of = {} if matches is None else _longest_tracks(matches, name)
     strokes = []
@@ -128,7 +160,7 @@ def segments_figure(
 
 
 def _longest_tracks(matches: Matches, name: str) -> dict[int, int]:
-    """The longest track that each matched segment of a view is on."""
+    """Index of the longest track of each matched segment of a view, by segment index."""
     lengths = np.linalg.norm(np.diff(np.asarray(matches.lines_mm), axis=1)[:, 0], axis=-1)
     column = np.asarray(matches.index)[:, matches.views.index(name)]
     order = [track for track in np.argsort(lengths, kind="stable").tolist() if column[track] >= 0]
@@ -143,11 +175,18 @@ def tracks_figures(
     colours: list[str],
     sigmas: LineSigmas,
 ) -> tuple[SegmentsFigure, ...]:
-    """The tracks of one stage in every view, over the segments that are on none of them."""
+    """Figure of each view with the tracks of one stage ("trinocular" or "binocular").
+
+    Segments on none of these tracks are drawn faintly. Empty if the stage has no track.
+
+    segments : segments by view. pictures : images by view. colours : of each track. sigmas :
+        lengths
+    and sigmas of the lines.
+    """
     tracks = np.flatnonzero(np.asarray(matches.stage) == stage)
     if len(tracks) == 0:
         return ()
-    longest = tracks[np.argsort(-sigmas.length_mm[tracks], kind="stable")][:NUMBERED]
+    longest_tracks = tracks[np.argsort(-sigmas.length_mm[tracks], kind="stable")][:NUMBERED]
     figures = []
     for view, name in enumerate(matches.views):
         strokes = []
@@ -165,10 +204,10 @@ def tracks_figures(
         faint = ends[~np.isin(np.arange(len(ends)), matches.index[tracks, view])]
         picture, caption = pictures[name], f"{len(strokes):,} tracks"
         by_track = {stroke.track: stroke for stroke in strokes}
-        named = [(str(t), by_track[t]) for t in longest.tolist() if t in by_track]
+        labelled = [(str(t), by_track[t]) for t in longest_tracks.tolist() if t in by_track]
         labels = place_labels(
-            [text for text, _ in named],
-            np.array([((s.u1, s.v1), (s.u2, s.v2)) for _, s in named]).reshape(-1, 2, 2),
+            [text for text, _ in labelled],
+            np.array([((s.u1, s.v1), (s.u2, s.v2)) for _, s in labelled]).reshape(-1, 2, 2),
             picture.window,
         )
         figures.append(SegmentsFigure(name, picture, tuple(strokes), faint, caption, tuple(labels)))
@@ -179,7 +218,25 @@ TABLE_ROWS = 300
 
 
 class MatchesPart(NamedTuple):
-    """Figures and tables of the segments and, where there are any, of the matches."""
+    """Section of the report with segments and, if there are any, matches.
+
+    Attributes
+    ----------
+    segments : tuple of SegmentsFigure
+        All segments of each view.
+    trinocular, binocular : tuple of SegmentsFigure
+        Tracks in three or more views, and tracks in two views.
+    trinocular_count, binocular_count : int
+        Numbers of these tracks.
+    pairs_of_views : tuple of (text, count)
+        Number of binocular tracks of each pair of views.
+    counts : ReportTable, optional
+        Numbers of each step of the matching.
+    reasons : ReportTable, optional
+        Numbers of segments by the reason why they are matched or not.
+    tracks : ReportTable, optional
+        The longest tracks.
+    """
 
     segments: tuple[SegmentsFigure, ...]
     trinocular: tuple[SegmentsFigure, ...] = ()
@@ -193,9 +250,9 @@ class MatchesPart(NamedTuple):
 
 
 def reasons_by_view(matches: Matches) -> dict[str, dict[str, int]]:
-    """Number of segments of each view by their reason: "matched" first, then by frequency.
+    """Number of segments of each view by their reason, "matched" first, then by frequency.
 
-    Reasons that differ only in a number ("ambiguous with 3") are one.
+    Reasons that differ only in a number, such as "ambiguous with 3", are counted together.
     """
     counts: dict[str, dict[str, int]] = {}
     for view in matches.views:
@@ -209,7 +266,7 @@ def reasons_by_view(matches: Matches) -> dict[str, dict[str, int]]:
 
 
 def reasons_table(matches: Matches) -> ReportTable:
-    """Number of segments of each view by their reason, and of all."""
+    """Table of the number of segments by reason, for each view and in total."""
     rows = [
         [label, *map(str, counts.values())] for label, counts in reasons_by_view(matches).items()
     ]
@@ -223,7 +280,11 @@ def reasons_table(matches: Matches) -> ReportTable:
 
 
 def counts_table(matches: Matches) -> ReportTable:
-    """Numbers that each step of the matching produced and rejected, without the reasons."""
+    """Table of the numbers of candidates and tracks that each step of the matching kept and
+    rejected.
+
+    The reasons of the segments are omitted.
+    """
     rows = [
         [in_words(name), f"{count:,}"]
         for name, count in matches.counts.items()
@@ -238,7 +299,10 @@ def matches_part(
     matches: Matches | None,
     pictures: Mapping[str, PagePicture],
 ) -> MatchesPart:
-    """Figures and tables of the segments and, where there are any, of the matches."""
+    """Section with the segments and, if `matches` is given, the matches.
+
+    views : names of the views. segments, pictures : by view.
+    """
     figures = tuple(
         segments_figure(name, segments[name], matches, pictures[name])
         for name in views
@@ -263,13 +327,13 @@ def matches_part(
 
 
 def track_colours(matches: Matches) -> list[str]:
-    """A colour for each track, so that tracks near each other in a picture differ."""
+    """Colour of each track, such that tracks that are near each other in an image differ."""
     middles_px = np.asarray(matches.fragments_px).mean(axis=2)
     return [PALETTE[colour] for colour in distinct_neighbours(middles_px).tolist()]
 
 
 def _pairs_of_views(matches: Matches) -> tuple[tuple[str, int], ...]:
-    """Binocular tracks of each pair of views."""
+    """Number of binocular tracks of each pair of views, with the names of the pair as text."""
     is_seen = np.asarray(matches.index)[np.asarray(matches.stage) == BINOCULAR] >= 0
     views = matches.views
     return tuple(
@@ -280,7 +344,7 @@ def _pairs_of_views(matches: Matches) -> tuple[tuple[str, int], ...]:
 
 
 def tracks_table(matches: Matches) -> ReportTable:
-    """The longest tracks: their views, segments, length, sigma and posterior."""
+    """Table of the longest tracks: views, segments, length, sigma and posterior of each."""
     sigmas, colours = line_sigmas(matches.lines_mm, matches.covariance_mm2), track_colours(matches)
     order = np.argsort(-sigmas.length_mm, kind="stable")[:TABLE_ROWS].tolist()
     none = np.zeros(len(matches))
@@ -313,7 +377,7 @@ def tracks_table(matches: Matches) -> ReportTable:
 
 
 def share_matched(matches: Matches) -> float:
-    """The share of all segments that are on a track; NaN without any."""
+    """Share of all segments that are on a track, 0 to 1; NaN without segments."""
     of_view = [np.asarray(matches.reasons[view], dtype=str) for view in matches.views]
     reasons = np.concatenate(of_view)
     return float(np.mean(np.char.startswith(reasons, MATCHED))) if len(reasons) else np.nan

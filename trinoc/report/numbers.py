@@ -5,14 +5,16 @@ from collections.abc import Sequence
 
 
 def significant_decimals(sigma: float, *, fallback: int = 4) -> int:
-    """Decimals that show two significant digits of `sigma`; `fallback` where it is not known."""
+    """Number of decimals that shows two significant digits of `sigma`; `fallback` if `sigma` is
+    NaN.
+    """
     if not math.isfinite(sigma) or sigma <= 0:
         return fallback
     return max(0, min(12, 1 - math.floor(math.log10(sigma))))
 
 
 def with_decimals(value: float, decimals: int) -> str:
-    """A number with a typographic minus sign; "not known" for NaN."""
+    """Number as text with a typographic minus sign; "not known" for NaN."""
     if not math.isfinite(value):
         return "not known"
     text = f"{value:.{decimals}f}"
@@ -21,14 +23,16 @@ def with_decimals(value: float, decimals: int) -> str:
 
 
 def with_sigma(value: float, sigma: float) -> str:
-    """ "23.5681 ± 0.0010": the value to two significant digits of its sigma."""
+    """Value and sigma as text, such as "23.5681 ± 0.0010", with two significant digits of the
+    sigma.
+    """
     decimals = significant_decimals(sigma)
     text = with_decimals(value, decimals)
     return f"{text} ± {sigma:.{decimals}f}" if math.isfinite(sigma) else text
 
 
 def point_text(point: Sequence[float], sigmas: Sequence[float]) -> str:
-    """ "X 1.23 ± 0.04, Y ..., Z ...": the coordinates of a point with their sigmas."""
+    """Coordinates of a point as text with their sigmas, such as "X 1.23 ± 0.04, Y ..., Z ..."."""
     return ", ".join(
         f"{axis} {with_sigma(float(value), float(sigma))}"
         for axis, value, sigma in zip("XYZ", point, sigmas, strict=True)
@@ -36,29 +40,29 @@ def point_text(point: Sequence[float], sigmas: Sequence[float]) -> str:
 
 
 def with_sign(value: float, decimals: int) -> str:
-    """A difference, always with its sign."""
+    """Number as text that always has a sign."""
     text = with_decimals(value, decimals)
     return f"+{text}" if math.isfinite(value) and value >= 0 else text
 
 
 def percent(share: float) -> str:
-    """A share of one, as a percentage."""
+    """Share (0 to 1) as text in per cent; "not known" for NaN."""
     return f"{100 * share:.0f} %" if math.isfinite(share) else "not known"
 
 
 def round_scale(value: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is not above `value`."""
+    """Largest number of the form 1, 2 or 5 times a power of ten that is at most `value`."""
     power = 10.0 ** math.floor(math.log10(value))
     return max(step * power for step in (1, 2, 5) if step * power <= value * (1 + 1e-9))
 
 
 def plain(value: float) -> str:
-    """A round number without trailing zeros: 0.005, 20, 2000."""
+    """Number as text without trailing zeros, such as 0.005, 20 or 2000."""
     return f"{value:.10f}".rstrip("0").rstrip(".")
 
 
 def millimetres(value: float) -> str:
-    """A small length to two digits, in micrometres where that reads better: 0.35 mm, 1.2 µm."""
+    """Length in mm as text with two digits, in micrometres below 0.01 mm: "0.35 mm", "1.2 µm"."""
     if not math.isfinite(value):
         return "not known"
     number, unit = (1000 * value, "µm") if value < 0.01 else (value, "mm")
@@ -67,5 +71,5 @@ def millimetres(value: float) -> str:
 
 
 def in_words(name: str) -> str:
-    """A name of the code as people read it."""
+    """Name from the code as text, with blanks for underscores."""
     return name.replace("_", " ")

@@ -39,9 +39,20 @@ _BOARD_POSE = ("turn_x_deg", "turn_y_deg", "turn_z_deg", "x_mm", "y_mm", "z_mm")
 
 
 class ParameterError(NamedTuple):
-    """One estimated parameter, its sigma, the known value, and the error against it.
+    """Error of one estimated parameter of a camera.
 
-    Degrees or millimetres, as `parameter` says; `over_sigma` is NaN where sigma is not known.
+    Attributes
+    ----------
+    camera, parameter : str
+        Names.
+    value, sigma : float
+        Estimate and its standard deviation, in degrees or millimetres as `parameter` states.
+    known : float
+        Value in the reference.
+    error : float
+        Estimate minus reference.
+    over_sigma : float
+        Error over sigma; NaN without a sigma.
     """
 
     camera: str
@@ -72,7 +83,7 @@ def _parameter_error(rig: Rig, reference: Rig, name: str, parameter: str) -> Par
 
 
 def is_without_sheet(rig: Rig) -> bool:
-    """Test for an optical axis that does not meet Z = 0, in a rig that no sheet calibrated."""
+    """True if an optical axis does not meet Z = 0 and the rig was not calibrated with a sheet."""
     names = {parameter.rpartition(".")[2] for parameter in rig.parameters}
     distances = [camera.distance_mm for camera in rig.cameras]
     return "distance_mm" not in names and not np.isfinite(distances).all()
@@ -81,8 +92,8 @@ def is_without_sheet(rig: Rig) -> bool:
 def shown_parameters(rig: Rig) -> tuple[str, ...]:
     """Names of the parameters that a table of the rig lists.
 
-    They are the four of the method, with the aim where it is not the world's origin. In a world
-    without a sheet they are positions and viewing directions.
+    They are pan, tilt, swing and distance, and the aim if it is not at the origin. If the rig was
+    not calibrated with a sheet, they are the cameras' positions and viewing directions.
     """
     if is_without_sheet(rig):
         return PLACEMENT_NAMES
@@ -93,7 +104,7 @@ def shown_parameters(rig: Rig) -> tuple[str, ...]:
 
 
 def shown_value(rig: Rig, name: str, parameter: str) -> tuple[float, float]:
-    """Value and sigma of a parameter that `shown_parameters` lists."""
+    """Value and sigma of a parameter of camera `name`. parameter : one of `shown_parameters`."""
     if parameter not in PLACEMENT_NAMES:
         return rig.value(f"{name}.{parameter}"), rig.sigma(f"{name}.{parameter}")
     kind, axis = parameter.split("_")[:2]
@@ -103,9 +114,9 @@ def shown_value(rig: Rig, name: str, parameter: str) -> tuple[float, float]:
 
 
 def rig_table(rig: Rig, reference: Rig | None = None) -> ReportTable:
-    """Parameters of a rig: a row for each, a column for each camera.
+    """Table of a rig's parameters, with a row for each parameter and a column for each camera.
 
-    Below each value stand the known one of `reference` and the error against it.
+    With `reference`, a second line of each cell shows the reference value and the error.
     """
     rows = [
         [LABELS[parameter], *(_rig_cell(rig, name, parameter, reference) for name in rig)]
@@ -142,7 +153,10 @@ def _cell(camera: str, parameter: str, text: str, detail: str = "") -> Cell:
 
 
 def lens_table(result: CalibrationResult) -> ReportTable:
-    """Lens and pose of every camera of a rig from many shots; empty where a camera lacks one."""
+    """Table of lens and pose of every camera of a rig from many shots.
+
+    It is empty if a camera was not determined.
+    """
     names = dict.fromkeys(
         key
         for camera in result.cameras
@@ -164,7 +178,7 @@ def lens_table(result: CalibrationResult) -> ReportTable:
 
 
 def pairs_table(result: CalibrationResult) -> ReportTable:
-    """Baseline and relative rotation of each pair of cameras."""
+    """Table of baseline and relative rotation of each pair of cameras."""
     head = ("cameras", "baseline (mm)", "board's size", "the rest", "rotation (deg)")
     rows = [
         [
@@ -190,7 +204,7 @@ def pairs_table(result: CalibrationResult) -> ReportTable:
 
 
 def boards_table(result: CalibrationResult) -> ReportTable:
-    """Parameters of the boards that were estimated, without their poses in a set."""
+    """Table of the boards' estimated parameters, without their poses in a set."""
     poses = [f"board.{name}.{axis}" for name in board_names(result.board) for axis in _BOARD_POSE]
     rows = [
         [name.removeprefix("board."), _estimate_text(result, name)]
@@ -201,7 +215,7 @@ def boards_table(result: CalibrationResult) -> ReportTable:
 
 
 def _estimate_text(result: CalibrationResult, name: str) -> str:
-    """A parameter with its sigma; empty where the result has none of this name."""
+    """Value and sigma of a parameter as text; "" if the result has no parameter of this name."""
     if name not in result.parameters:
         return ""
     value, sigma = result.value(name), result.sigma(name)

@@ -18,9 +18,16 @@ WINDOW_MARGIN = 1.25
 
 
 class PagePicture(NamedTuple):
-    """A picture on the page: an identifier, its size in its own pixels, and its data URI.
+    """Image of the page.
 
-    `uri` is empty where there is no picture, only its size.
+    Attributes
+    ----------
+    key : str
+        Identifier on the page.
+    width_px, height_px : int
+        Size of the original image.
+    uri : str
+        Data URI of the image; "" if only its size is known.
     """
 
     key: str
@@ -30,12 +37,12 @@ class PagePicture(NamedTuple):
 
     @property
     def window(self) -> "Window":
-        """All of the picture; its first pixel reaches from -0.5 to 0.5."""
+        """Window of the whole image, from -0.5 px."""
         return Window(-0.5, -0.5, self.width_px, self.height_px)
 
 
 class Window(NamedTuple):
-    """The part of a picture that a figure shows, in pixels of the picture."""
+    """Rectangle of an image that a figure shows, in px."""
 
     left: float
     top: float
@@ -44,14 +51,14 @@ class Window(NamedTuple):
 
     @property
     def unit(self) -> float:
-        """Pixels that make 1/512 of the width: the measure of words and marks on it."""
+        """Unit of length for text and marks in the figure: 1/512 of the width, px."""
         return self.width / 512
 
     @classmethod
     def around(cls, points_px: Float[np.ndarray, "n 2"], picture: PagePicture) -> "Window":
-        """Window around the points with a margin, clipped to the picture.
+        """Window around points (n, 2) px with a margin, clipped to the image.
 
-        It has the aspect ratio of the picture if possible.
+        It has the aspect ratio of the image if possible.
         """
         if len(points_px) == 0:
             return cls(*picture.window)
@@ -64,16 +71,24 @@ class Window(NamedTuple):
 
 
 class Arrows(NamedTuple):
-    """Residuals are drawn `times` as long; the key of a figure shows what `key_px` px are."""
+    """Scale of residual arrows.
+
+    Attributes
+    ----------
+    times : float
+        Magnification of the residuals.
+    key_px : float
+        Residual that the key of the figure shows, px.
+    """
 
     times: float
     key_px: float
 
     @classmethod
     def reaching(cls, longest: Sequence[tuple[float, float]]) -> "Arrows":
-        """One scale for all pictures, so that arrows compare across them.
+        """Common scale for several images, so that their arrows can be compared.
 
-        `longest` has the longest residual of each picture and how long it may be drawn, px.
+        longest : for each image its longest residual and the longest arrow that it can show, px.
         """
         share = max((residual / reach for residual, reach in longest), default=0.0)
         times = round_scale(1 / share) if share > 1e-12 else 1.0
@@ -82,11 +97,11 @@ class Arrows(NamedTuple):
 
     @property
     def texts(self) -> tuple[str, str]:
-        """Both numbers as text."""
+        """Magnification and residual of the key, as text."""
         return plain(self.times), plain(self.key_px)
 
     def tip(self, point: tuple[float, float], residual: tuple[float, float]) -> tuple[float, float]:
-        """Tip of the arrow of a residual at a point."""
+        """Tip of the arrow of a residual (du, dv) at a point (u, v), px."""
         (u, v), (du, dv) = point, residual
         return float(u + self.times * du), float(v + self.times * dv)
 
@@ -99,9 +114,13 @@ def page_picture(
     longest_side_px: int = LONGEST_SIDE_PX,
     quality: int = JPEG_QUALITY,
 ) -> PagePicture:
-    """A (h, w) or (h, w, 3) picture of any depth as a JPEG data URI of bounded size.
+    """Encode an image of any range as a JPEG data URI.
 
-    Eight-bit pictures keep their grey levels; others are stretched to the range they use.
+    Images of 8 bits keep their grey levels; others are stretched to the range that they use.
+
+    key : identifier on the page. picture : (h, w) or (h, w, 3); None if only the size is known.
+    size_px : width and height of the original. longest_side_px : limit of the encoded image's
+        sides.
     """
     if picture is None:
         return PagePicture(key, *size_px, "")
@@ -130,7 +149,9 @@ def page_pictures(
     pictures: Mapping[str, np.ndarray] | None,
     sizes_px: Mapping[str, tuple[int, int]],
 ) -> dict[str, PagePicture]:
-    """One page picture per view, with an identifier that no name can break."""
+    """Encode an image for each view. prefix : start of the identifiers, which contain no view
+    names.
+    """
     images = pictures or {}
     return {
         name: page_picture(f"{prefix}-{number}", images.get(name), size)
@@ -147,7 +168,10 @@ def _stretch_levels(array: np.ndarray) -> np.ndarray:
 def clip_line(
     line: Float[np.ndarray, "3"], size_px: tuple[int, int]
 ) -> Float[np.ndarray, "2 2"] | None:
-    """The part of a line within an image; None if the line misses it or is not finite."""
+    """Ends (2, 2) px of the part of a line inside an image; None if the line misses the image.
+
+    line : (a, b, c) with a u + b v + c = 0.
+    """
     if not np.isfinite(line).all():
         return None
     a, b, c = line

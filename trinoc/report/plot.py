@@ -29,7 +29,9 @@ OUTLINE_POINTS = 48
 
 
 def draw_image(axes: "Axes", picture: np.ndarray, *, strength: float = 1.0) -> None:
-    """A picture in its own pixel coordinates; `strength` below 1 fades it toward white."""
+    """Draw an image in its pixel coordinates. strength : 1 for full contrast, less to fade it to
+    white.
+    """
     axes.imshow(picture, cmap="gray", alpha=strength, interpolation="nearest")
     axes.set_xticks([])
     axes.set_yticks([])
@@ -38,7 +40,7 @@ def draw_image(axes: "Axes", picture: np.ndarray, *, strength: float = 1.0) -> N
 def draw_detection(
     axes: "Axes", picture: np.ndarray, fit: CameraFit, *, magnification: float
 ) -> None:
-    """Circles and cross lines found, and residuals drawn `magnification` times as long."""
+    """Draw detected circles, crossed lines, and residuals with a magnification."""
     from matplotlib.collections import LineCollection
 
     draw_image(axes, picture, strength=0.8)
@@ -59,7 +61,7 @@ def draw_detection(
 
 
 def draw_segments(axes: "Axes", picture: np.ndarray, segments: Segments) -> None:
-    """Every segment of a picture, its ends marked: the paper's figure 6."""
+    """Draw every segment of an image with its ends (figure 6 of the paper)."""
     from matplotlib.collections import LineCollection
 
     draw_image(axes, picture, strength=0.4)
@@ -69,25 +71,27 @@ def draw_segments(axes: "Axes", picture: np.ndarray, segments: Segments) -> None
 
 
 def draw_tracks(axes: "Axes", picture: np.ndarray, matches: Matches, view: str, stage: str) -> None:
-    """The tracks of one stage in one view, one colour each in every view: figure 7."""
+    """Draw the tracks of one stage in one view, with one colour for each track (figure 7 of the
+    paper).
+    """
     from matplotlib.collections import LineCollection
 
     draw_image(axes, picture, strength=0.4)
     fragments = np.asarray(matches.fragments_px)
     colours = distinct_neighbours(fragments.mean(axis=2))
     column = matches.views.index(view)
-    shown = (np.asarray(matches.stage) == stage) & (np.asarray(matches.index)[:, column] >= 0)
+    is_drawn = (np.asarray(matches.stage) == stage) & (np.asarray(matches.index)[:, column] >= 0)
     axes.add_collection(
         LineCollection(
-            list(fragments[shown, column]),
-            colors=[PALETTE[colour] for colour in colours[shown]],
+            list(fragments[is_drawn, column]),
+            colors=[PALETTE[colour] for colour in colours[is_drawn]],
             linewidths=1.8,
         )
     )
 
 
 def draw_space(axes: "Axes3D", matches: Matches, rig: Rig | None = None) -> None:
-    """The 3-D segments, and the cameras where a rig is given, in mm with equal axes."""
+    """Draw the 3-D segments and, if `rig` is given, the cameras, in mm with equal axes."""
     lines, stage = np.asarray(matches.lines_mm), np.asarray(matches.stage)
     box = content_box(None, matches)
     corners = np.zeros((1, 3)) if box is None else np.stack(box)
@@ -106,7 +110,10 @@ def draw_lines_in_space(
     strokes: Sequence[tuple[Sequence[np.ndarray], str]],
     within: Float[np.ndarray, "n 3"] | None = None,
 ) -> None:
-    """Lines (n, 3) with the colour of each group, in mm with equal axes that hold `within`."""
+    """Draw lines in mm with equal axes.
+
+    strokes : groups of (n, 3) lines with their colour. within : points that the axes must contain.
+    """
     from matplotlib.ticker import MaxNLocator
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
@@ -114,8 +121,8 @@ def draw_lines_in_space(
         if len(lines):
             axes.add_collection3d(Line3DCollection(list(lines), colors=colour, linewidths=1.4))
     if within is None:
-        every = [line for lines, _ in strokes for line in lines]
-        within = np.concatenate(every) if every else np.zeros((1, 3))
+        all_lines = [line for lines, _ in strokes for line in lines]
+        within = np.concatenate(all_lines) if all_lines else np.zeros((1, 3))
     low, high = np.nanmin(within, axis=0), np.nanmax(within, axis=0)
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])

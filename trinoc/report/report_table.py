@@ -9,10 +9,16 @@ from markupsafe import Markup, escape
 
 
 class Cell(NamedTuple):
-    """An entry of a table.
+    """Cell of a table.
 
-    text : as people read it. detail : a second line in smaller letters. attributes : of its HTML
-    element.
+    Attributes
+    ----------
+    text : str
+        Content.
+    detail : str
+        Second line in smaller letters.
+    attributes : mapping of str to str
+        Attributes of the HTML element.
     """
 
     text: str
@@ -21,11 +27,20 @@ class Cell(NamedTuple):
 
 
 class ReportTable(NamedTuple):
-    """A table whose rows begin with their headings.
+    """Table with a heading in the first cell of each row.
 
-    head : names of the columns; empty for a table without. rows : the cells of each row, the
-    heading first. caption, note : sentences above and below. look : its CSS class.
-    row_attributes : of each row's HTML element, in order; rows behind the last have none.
+    Attributes
+    ----------
+    head : sequence of str
+        Names of the columns; empty for a table without names.
+    rows : sequence of rows
+        Cells of each row, the heading first.
+    caption, note : str
+        Sentences above and below the table.
+    look : str
+        CSS class.
+    row_attributes : sequence of mappings
+        Attributes of the rows' HTML elements, in order; further rows have none.
     """
 
     head: Sequence[str]
@@ -36,13 +51,13 @@ class ReportTable(NamedTuple):
     row_attributes: Sequence[Mapping[str, str]] = ()
 
     def cells(self) -> Iterator[list[Cell]]:
-        """The cells of each row; a text alone is a cell without detail."""
+        """Yield the cells of each row. A plain text becomes a cell without a detail."""
         for row in self.rows:
             yield [cell if isinstance(cell, Cell) else Cell(cell) for cell in row]
 
 
 def draw_table(table: ReportTable) -> Markup:
-    """The table as HTML, with its caption and its note."""
+    """Return the table as HTML, with its caption and note."""
     parts = [f'<div class="scroll"><table{_attributes({"class": table.look})}>']
     parts.append(f"<caption>{escape(table.caption)}</caption>" if table.caption else "")
     if table.head:
@@ -57,7 +72,7 @@ def draw_table(table: ReportTable) -> Markup:
 
 
 def _draw_cell(cell: Cell, *, is_heading: bool) -> str:
-    """A heading shows its text as it is; in others, what stands between backticks is code."""
+    """Return a cell as HTML. In cells that are no headings, text between backticks becomes code."""
     detail = f'<span class="detail">{escape(cell.detail)}</span>' if cell.detail else ""
     attributes = _attributes(cell.attributes)
     if is_heading:
@@ -70,12 +85,12 @@ def _attributes(attributes: Mapping[str, str]) -> str:
 
 
 def draw_code(sentence: str) -> Markup:
-    """A sentence as HTML, in which what stands between backticks is code."""
+    """Return a sentence as HTML, with text between backticks as code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(sentence))))
 
 
 def text_table(head: Sequence[str], rows: Sequence[Sequence[str]], *, left_columns: int = 1) -> str:
-    """Aligned columns: the first `left_columns` to the left, the others to the right."""
+    """Return a table as aligned text. The first `left_columns` columns are aligned to the left."""
     lines = [list(head), *(list(row) for row in rows)]
     widths = [max(len(line[column]) for line in lines) for column in range(len(head))]
     return "\n".join(
@@ -88,5 +103,5 @@ def text_table(head: Sequence[str], rows: Sequence[Sequence[str]], *, left_colum
 
 
 def draw_text(table: ReportTable) -> str:
-    """The table as text, without the details of its cells."""
+    """Return the table as text, without the details of its cells."""
     return text_table(table.head, [[cell.text for cell in row] for row in table.cells()])

@@ -23,12 +23,20 @@ _LONGEST = 0.2
 
 
 class ShotImage(NamedTuple):
-    """One image with the residuals of its corners or circles as SVG paths.
+    """One image of a shot with the residuals of its corners or circles.
 
-    Fields
-    ------
-    used, left_out : dots at the detected points.
-    residuals, residuals_left_out : lines from there, predicted minus observed, magnified.
+    Attributes
+    ----------
+    name : str
+        Name of the shot.
+    caption : str
+        Caption of the figure.
+    picture : PagePicture
+        The image.
+    used, left_out : str
+        SVG paths with a dot at each used and each excluded point.
+    residuals, residuals_left_out : str
+        SVG paths with the magnified residuals, predicted minus observed, at these points.
     """
 
     name: str
@@ -41,7 +49,7 @@ class ShotImage(NamedTuple):
 
 
 class CameraShots(NamedTuple):
-    """The figures of one camera; `caption` states which of its shots they are."""
+    """Figures of the shots of one camera. `caption` states which shots they are."""
 
     name: str
     caption: str
@@ -49,7 +57,17 @@ class CameraShots(NamedTuple):
 
 
 class ShotImagesPart(NamedTuple):
-    """All cameras; residuals are drawn `times` as long."""
+    """Section of the report with the residuals of each shot on its image.
+
+    Attributes
+    ----------
+    cameras : tuple of CameraShots
+        Figures of each camera.
+    times : str
+        Magnification of the residuals, as text.
+    any_left_out : bool
+        True if a fit excluded a point.
+    """
 
     cameras: tuple[CameraShots, ...]
     times: str
@@ -57,13 +75,13 @@ class ShotImagesPart(NamedTuple):
 
     @property
     def pictures(self) -> list[PagePicture]:
-        """The images that the page has to hold."""
+        """Images that the page contains."""
         figures = [figure for camera in self.cameras for figure in camera.figures]
         return [figure.picture for figure in figures if figure.picture.uri]
 
 
 class _ShotResiduals(NamedTuple):
-    """Points of one camera in one shot, their residuals, and whether each was used."""
+    """Detected points of one camera in one shot, their residuals, and whether each was used."""
 
     shot: int
     size_px: tuple[int, int]
@@ -73,19 +91,19 @@ class _ShotResiduals(NamedTuple):
 
     @property
     def rms_px(self) -> float:
-        """Root mean square residual, px, over all corners or circles, used or left out."""
+        """Root mean square residual, px, of all points, used or excluded."""
         return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
 
 
 def shot_images_part(
     result: CalibrationResult, pictures: Mapping[str, Pictures] | None
 ) -> ShotImagesPart | None:
-    """The contact sheet; None if no camera saw a board.
+    """Section with the residuals of each shot on its image; None if no camera detected a board.
 
-    pictures : as `calibrate_rig` takes them: arrays, detections or functions that return an array.
-        Only those that are shown are read. Without one, the residuals are drawn on grey.
+    pictures : images as `calibrate_rig` takes them: arrays, detections, or functions that return an
+    array. Only images that the page shows are read. An image that is not given is replaced by grey.
     """
-    named = name_pictures(pictures or {})
+    named_pictures = name_pictures(pictures or {})
     shots_of = {
         number: sorted(_list_shots(result, number), key=lambda shot: -shot.rms_px)
         for number in range(len(result.cameras))
@@ -96,7 +114,9 @@ def shot_images_part(
             result.cameras[number],
             _describe_choice(len(shots)),
             tuple(
-                _shot_image(result, number, shot, named.get(result.cameras[number], {}), arrows)
+                _shot_image(
+                    result, number, shot, named_pictures.get(result.cameras[number], {}), arrows
+                )
                 for shot in shots[:MOST_SHOTS]
             ),
         )
@@ -105,8 +125,8 @@ def shot_images_part(
     )
     if not cameras:
         return None
-    shown = [figure for camera in cameras for figure in camera.figures]
-    return ShotImagesPart(cameras, arrows.texts[0], any(figure.left_out for figure in shown))
+    figures = [figure for camera in cameras for figure in camera.figures]
+    return ShotImagesPart(cameras, arrows.texts[0], any(figure.left_out for figure in figures))
 
 
 def _describe_choice(count: int) -> str:
@@ -116,7 +136,7 @@ def _describe_choice(count: int) -> str:
 
 
 def _list_shots(result: CalibrationResult, camera: int) -> list[_ShotResiduals]:
-    """Each shot of a camera, in which several boards count as one."""
+    """Residuals of each shot of a camera. Several boards in one image count as one shot."""
     rows_of: dict[int, list[int]] = {}
     for row, view in enumerate(result.views):
         if view.camera == camera:
@@ -144,7 +164,7 @@ def _list_shots(result: CalibrationResult, camera: int) -> list[_ShotResiduals]:
 
 
 def _choose_scale(shots: list[_ShotResiduals]) -> Arrows:
-    """One scale for all images, so that lengths compare across them."""
+    """Common scale of the residuals in all images."""
     shares = [np.linalg.norm(s.residuals_px[s.used], axis=1) / s.size_px[0] for s in shots]
     every = np.concatenate([np.zeros(0), *shares])
     return Arrows.reaching([(float(np.quantile(every, _SHARE)), _REACH)] if len(every) else [])
@@ -181,7 +201,7 @@ def _shot_image(
 
 
 def _caption(residuals: _ShotResiduals) -> str:
-    """Residuals of the used points, rms, and the number of those left out."""
+    """Caption of a shot: rms residual of the used points, and number of excluded points."""
     wrong = int((~residuals.used).sum())
     if wrong == len(residuals.used):
         return f"left out, {with_decimals(residuals.rms_px, 2)} px rms"
@@ -191,12 +211,12 @@ def _caption(residuals: _ShotResiduals) -> str:
 
 
 def _dots(places_px: Float[np.ndarray, "n 2"]) -> str:
-    """A path of points, to be drawn with round ends."""
+    """SVG path of dots at points (n, 2) px."""
     return "".join(f"M{u:.1f} {v:.1f}h0" for u, v in places_px)
 
 
 def _lines(from_px: Float[np.ndarray, "n 2"], to_px: Float[np.ndarray, "n 2"]) -> str:
-    """A path of lines, one for each point."""
+    """SVG path of one line for each point, from (n, 2) to (n, 2) px."""
     return "".join(
         f"M{u:.1f} {v:.1f}l{du:.1f} {dv:.1f}"
         for (u, v), (du, dv) in zip(from_px, to_px - from_px, strict=True)

@@ -18,9 +18,11 @@ from trinoc.report.space_part import (
 
 
 def shot_table(result: CalibrationResult) -> ReportTable:
-    """A row for each shot, those that took no part last, and a cell for each camera.
+    """Table with a row for each shot and a column for each camera. Shots that were not used come
+    last.
 
-    The class of a cell is "used", "left-out", "missing", or "none" for a picture not taken.
+    The CSS class of a cell is "used", "left-out", "missing" (no board detected), or "none" (no
+    image).
     """
     rows: dict[tuple[str, str], list[int]] = {}
     for k, view in enumerate(result.views):
@@ -39,7 +41,7 @@ def shot_table(result: CalibrationResult) -> ReportTable:
 
 
 def count_shots(table: ReportTable, role: str) -> int:
-    """Number of pictures in a table of shots whose cells have a class."""
+    """Number of images in a table of shots whose cells have the class `role`."""
     return sum(cell.attributes.get("class") == role for row in table.cells() for cell in row)
 
 
@@ -48,7 +50,7 @@ def _cell(text: str, role: str, hint: str) -> Cell:
 
 
 def _shot_cell(result: CalibrationResult, rows: list[int]) -> Cell:
-    """The cell of one picture, which may show several boards."""
+    """Cell of one image. rows : indices of the observations of boards in this image."""
     views = [result.views[row] for row in rows]
     used = sum(int(view.used.sum()) for view in views)
     detected = sum(len(view.detection) for view in views)
@@ -62,7 +64,7 @@ def _shot_cell(result: CalibrationResult, rows: list[int]) -> Cell:
 
 
 def boards_in_space(result: CalibrationResult, rig: Rig) -> SpaceFigure:
-    """The cameras and the boards of all shots."""
+    """3-D figure of the cameras and of the boards in all shots."""
     outlines = _boards(result)
     box = Box.around(np.concatenate([*frusta(rig), *outlines]), 0.05)
     names = board_names(result.board)
@@ -77,7 +79,7 @@ def boards_in_space(result: CalibrationResult, rig: Rig) -> SpaceFigure:
 
 
 def _boards(result: CalibrationResult) -> list[np.ndarray]:
-    """Outline of each board in each shot, as lines in the world."""
+    """Outline of each board in each shot, as (5, 3) lines in the world, mm."""
     outlines = []
     for board, pose in zip(list_boards(result.board), result.reference_from_board, strict=True):
         centres = np.asarray(board.centres_mm)

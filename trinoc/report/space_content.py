@@ -28,18 +28,20 @@ PALETTE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 def distinct_neighbours(
     midpoints_px: Float[np.ndarray, "t v 2"], colours: int = len(PALETTE)
 ) -> Int[np.ndarray, "t"]:
-    """A colour number per track, so that tracks near each other in a picture differ.
+    """Number of a colour for each track, such that tracks that are near each other in an image
+    differ.
 
-    Tracks take, one after the other, the colour whose earlier tracks are farthest from them;
-    `midpoints_px` is NaN where a view does not see a track.
+    Each track gets the colour whose earlier tracks are the farthest away.
+
+    midpoints_px : (t, v, 2) midpoints of the tracks, NaN if a view does not show a track.
     """
-    chosen = np.zeros(len(midpoints_px), dtype=np.int64)
+    colour_of_track = np.zeros(len(midpoints_px), dtype=np.int64)
     for track in range(1, len(midpoints_px)):
         squared = np.sum((midpoints_px[:track] - midpoints_px[track]) ** 2, axis=-1)
         nearness = np.max(np.nan_to_num(1.0 / (squared + 1.0)), axis=-1)
-        crowding = np.bincount(chosen[:track], weights=nearness, minlength=colours)
-        chosen[track] = int(np.argmin(crowding))
-    return chosen
+        crowding = np.bincount(colour_of_track[:track], weights=nearness, minlength=colours)
+        colour_of_track[track] = int(np.argmin(crowding))
+    return colour_of_track
 
 
 FRUSTUM_SHARE = 0.14
@@ -47,21 +49,23 @@ CIRCLE_POINTS = 24
 
 
 class Box(NamedTuple):
-    """Corners of the space that a figure shows, in mm."""
+    """Box in space that a figure shows, by its lowest and highest corner, mm."""
 
     low_mm: Float[np.ndarray, "3"]
     high_mm: Float[np.ndarray, "3"]
 
     @classmethod
     def around(cls, points_mm: Float[np.ndarray, "n 3"], room: float) -> "Box":
-        """The box around the points, larger by `room` as a share of their extent on every side."""
+        """Box around points, with a margin on each side. room : margin over the longest side of the
+        points.
+        """
         low, high = points_mm.min(axis=0), points_mm.max(axis=0)
         margin = room * max(float(np.max(high - low)), 1e-6)
         return cls(low - margin, high + margin)
 
 
 def sheet_outlines(pattern: Pattern) -> list[np.ndarray]:
-    """The circles, holes and crossed lines of the sheet as (n, 3) lines on Z = 0."""
+    """Circles, holes and crossed lines of the sheet, as (n, 3) lines in mm at Z = 0."""
     angles = np.linspace(0, 2 * np.pi, CIRCLE_POINTS + 1)
     unit = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
     parts = []
@@ -78,7 +82,7 @@ def sheet_outlines(pattern: Pattern) -> list[np.ndarray]:
 
 
 def frusta(rig: Rig) -> list[np.ndarray]:
-    """For each camera, lines from its centre round the corners of its picture."""
+    """Viewing frustum of each camera, as (n, 3) lines in mm."""
     centres = np.stack([camera.centre_world_mm for _, camera in rig.items()])
     depth = FRUSTUM_SHARE * float(np.median(np.linalg.norm(centres, axis=1)))
     return [_frustum(camera, depth) for _, camera in rig.items()]
@@ -103,7 +107,10 @@ def _frustum(camera: Camera, depth_mm: float) -> np.ndarray:
 
 
 def content_box(pattern: Pattern | None, matches: Matches | None) -> Box | None:
-    """The sheet and the segments with some room, a few far-off segments not counted."""
+    """Box around the sheet and the 3-D segments with a margin; None without both.
+
+    Segments far away from the others are ignored.
+    """
     points = []
     if matches is not None and len(matches):
         ends = np.asarray(matches.lines_mm).reshape(-1, 3)
@@ -114,15 +121,15 @@ def content_box(pattern: Pattern | None, matches: Matches | None) -> Box | None:
             points.append(ends[(np.abs(ends - middle) <= reach).all(axis=1)])
     if pattern is not None:
         margin = pattern.radius_mm[:, None]
-        flat = np.concatenate([pattern.centres_mm - margin, pattern.centres_mm + margin])
-        points.append(np.column_stack([flat, np.zeros(len(flat))]))
+        circle_corners = np.concatenate([pattern.centres_mm - margin, pattern.centres_mm + margin])
+        points.append(np.column_stack([circle_corners, np.zeros(len(circle_corners))]))
     if not points:
         return None
     return Box.around(np.concatenate(points), 0.08)
 
 
 def whole_box(rig: Rig, content: Box | None) -> Box:
-    """The cameras together with `content`, with some room."""
+    """Box around the cameras and `content`, with a margin."""
     corners = np.concatenate(frusta(rig))
     if content is not None:
         corners = np.concatenate([corners, np.stack(content)])

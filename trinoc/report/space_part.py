@@ -18,17 +18,24 @@ from trinoc.report.space_content import Box, content_box, frusta, sheet_outlines
 
 
 class LineLayer(NamedTuple):
-    """Lines of one kind, which the figure shows or hides together.
+    """Lines of one kind, which a 3-D figure shows or hides together.
 
-    Fields
-    ------
-    name : as the legend has it.
-    role : what decides the colour: "three", "two", "bars", "joined", "corners", "sheet", "axes" or
-        "cameras".
-    parts : (n, 3) each, open lines in mm; one point alone is a dot.
-    shown : whether the figure begins with it.
-    tracks : the track of each part; empty where parts are none.
-    descriptions : a sentence on each part; empty if there are none.
+    Attributes
+    ----------
+    name : str
+        Name in the legend.
+    role : str
+        Kind that determines the colour: "three", "two", "bars", "joined", "corners", "sheet",
+        "axes"
+        or "cameras".
+    parts : list of (n, 3)
+        Open lines in mm; a single point is drawn as a dot.
+    shown : bool
+        True if the layer is visible when the page opens.
+    tracks : tuple of int
+        Index of the track of each part; empty if the parts are not tracks.
+    descriptions : tuple of str
+        Sentence on each part; may be empty.
     """
 
     name: str
@@ -40,7 +47,7 @@ class LineLayer(NamedTuple):
 
 
 class Label(NamedTuple):
-    """A label at a point in space, coloured as its layer."""
+    """Label at a point in space, mm. `role` determines the colour, as in `LineLayer`."""
 
     at_mm: np.ndarray
     text: str
@@ -48,7 +55,17 @@ class Label(NamedTuple):
 
 
 class SpaceView(NamedTuple):
-    """A named box to fill the figure, and the azimuth of the eye, from X toward Y, in radians."""
+    """Named view of a 3-D figure.
+
+    Attributes
+    ----------
+    name : str
+        Name on the page.
+    box : Box
+        Box that fills the figure.
+    azimuth : float
+        Azimuth of the viewpoint, radians from X toward Y.
+    """
 
     name: str
     box: Box
@@ -56,7 +73,7 @@ class SpaceView(NamedTuple):
 
 
 class SpaceFigure(NamedTuple):
-    """Everything that a figure in space needs; the first of `views` is the one to begin with."""
+    """3-D figure: layers of lines, labels, and named views. The page opens with the first view."""
 
     layers: tuple[LineLayer, ...]
     labels: tuple[Label, ...]
@@ -64,19 +81,19 @@ class SpaceFigure(NamedTuple):
 
     @classmethod
     def of_tracks(cls, matches: Matches) -> "SpaceFigure":
-        """The segments and their error bars alone."""
+        """3-D figure of the segments and their error bars, without cameras."""
         content = content_box(None, matches)
         views = () if content is None else (SpaceView("Segments", content),)
         return cls(tuple(_track_layers(matches)), (), views)
 
     def join(self, more: "SpaceFigure") -> "SpaceFigure":
-        """This figure with the layers, labels and views of another one added."""
+        """Return this figure with the layers, labels and views of `more` added."""
         return SpaceFigure(
             self.layers + more.layers, self.labels + more.labels, self.views + more.views
         )
 
     def numbers(self) -> dict[str, Any]:
-        """The figure as the page's script reads it, rounded to a micrometre."""
+        """Figure as numbers for the page's script, rounded to a micrometre."""
         return {
             "layers": [
                 {
@@ -104,7 +121,10 @@ class SpaceFigure(NamedTuple):
 
 
 def space_figure(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> SpaceFigure:
-    """Figure of a rig, a sheet and matches; its first view shows the segments, else the rig."""
+    """3-D figure of a rig, a sheet and matches.
+
+    The page opens with a view of the segments, or of the rig without segments.
+    """
     layers = []
     if matches is not None and len(matches):
         layers += _track_layers(matches)
@@ -119,7 +139,7 @@ def space_figure(rig: Rig, pattern: Pattern | None, matches: Matches | None) -> 
 
 
 def axes_in_space(reach_mm: float) -> SpaceFigure:
-    """The world's axes with their letters."""
+    """3-D figure of the world's axes with their names. reach_mm : length of the axes."""
     parts = [np.stack([np.zeros(3), reach_mm * axis]) for axis in np.eye(3)]
     labels = tuple(
         Label(1.08 * part[1], axis, "axes") for part, axis in zip(parts, "XYZ", strict=True)
@@ -129,7 +149,7 @@ def axes_in_space(reach_mm: float) -> SpaceFigure:
 
 
 def cameras_in_space(rig: Rig) -> SpaceFigure:
-    """The frusta of the cameras with their names."""
+    """3-D figure of the cameras' viewing frusta with their names."""
     labels = tuple(Label(camera.centre_world_mm, name, "cameras") for name, camera in rig.items())
     return SpaceFigure((LineLayer("cameras", "cameras", frusta(rig)),), labels, ())
 
@@ -170,7 +190,9 @@ def describe_track(matches: Matches, sigmas: LineSigmas, track: int) -> str:
 
 
 def _error_bars(matches: Matches) -> list[np.ndarray]:
-    """One sigma to both sides along the principal axes of each end's covariance."""
+    """Error bars of the ends: lines of one sigma to both sides along the principal axes of the
+    covariance.
+    """
     parts = []
     for ends, covariance in zip(matches.lines_mm, matches.covariance_mm2, strict=True):
         for end, block in zip(ends, (covariance[:3, :3], covariance[3:, 3:]), strict=True):
@@ -183,9 +205,8 @@ def _error_bars(matches: Matches) -> list[np.ndarray]:
 
 
 def _joined_layers(matches: Matches, rig: Rig) -> list[LineLayer]:
-    """Layers for the joined lines, one line per group of collinear tracks, and for their corners.
-
-    The layers are hidden when the page opens.
+    """Hidden layers of the joined lines, one for each group of collinear tracks, and of their
+    corners.
     """
     joined = join_collinear(matches, rig)
     corners = snap_corners(joined)
@@ -214,7 +235,7 @@ def _joined_layers(matches: Matches, rig: Rig) -> list[LineLayer]:
 
 
 def _views(rig: Rig, content: Box | None, segments: bool) -> tuple[SpaceView, ...]:
-    """The content near the world's origin, and everything with the cameras."""
+    """Named views of the content and of the rig. segments : True if there are 3-D segments."""
     # From the side, so that no camera stands before what all of them look at.
     x, y, _ = np.mean([camera.centre_world_mm for _, camera in rig.items()], axis=0)
     rig_view = SpaceView("Whole rig", whole_box(rig, content), float(np.arctan2(y, x)) + 1.25)
@@ -231,9 +252,16 @@ NAME_SHARE, LETTER_SHARE = 0.036, 0.6
 
 
 class PlanPath(NamedTuple):
-    """Drawn lines: the data of an SVG path, and the role that decides its look.
+    """Lines of a drawing.
 
-    track : of the line, -1 for none.
+    Attributes
+    ----------
+    data : str
+        Data of an SVG path.
+    role : str
+        Kind that determines the colour, as in `LineLayer`.
+    track : int
+        Index of the track; -1 for none.
     """
 
     data: str
@@ -242,14 +270,30 @@ class PlanPath(NamedTuple):
 
 
 class Tick(NamedTuple):
-    """A grid line: its position on its axis, in drawing units, and its number in mm."""
+    """Grid line of a drawing: position on its axis in drawing units, coordinate in mm as text."""
 
     position: float
     text: str
 
 
 class Drawing(NamedTuple):
-    """One orthographic view, in mm, second axis upward (so negated for SVG)."""
+    """Orthographic drawing of a 3-D figure, in mm. SVG's y axis points down, so y is negated.
+
+    Attributes
+    ----------
+    title : str
+        Title.
+    horizontal, vertical : str
+        Names of the world axes.
+    left, top, width, height : float
+        Region of the drawing.
+    paths : tuple of PlanPath
+        Lines.
+    labels : tuple of (x, y, text)
+        Names of cameras.
+    across, upward : tuple of Tick
+        Grid lines of the horizontal and the vertical axis.
+    """
 
     title: str
     horizontal: str
@@ -270,7 +314,10 @@ class Drawing(NamedTuple):
 
 
 def draw_plans(figure: SpaceFigure) -> tuple[Drawing, ...]:
-    """Plan (X, Y) and elevation (X, Z) of the segments, or of the rig where there are none."""
+    """Drawings of a 3-D figure: plan (X, Y) and elevation (X, Z).
+
+    They show the segments, or the rig if there are no segments.
+    """
     tracks = [layer for layer in figure.layers if layer.tracks]
     cameras = [layer for layer in figure.layers if layer.role == "cameras" and not tracks]
     paths: list[tuple[list[np.ndarray], str, int]] = [
@@ -329,14 +376,16 @@ def _drawing(
 def place_names(
     names: Sequence[tuple[float, float, str]], height: float, top: float
 ) -> tuple[tuple[float, float, str], ...]:
-    """Positions of names that do not overlap: each is moved up or down to the nearest free height.
+    """Move names up or down to the nearest height at which no two names overlap.
 
-    names : x, y downward, and the text, in letters of this height. top : upper limit of positions.
+    names : x, y (downward) and text of each name. height : height of the letters. top : upper limit
+        of
+    the new positions.
     """
     labels: list[tuple[float, float, str]] = []
     for x, y, name in names:
         steps = (sign * k * height for k in range(2 * len(labels) + 1) for sign in (-1, 1))
-        free = (
+        free_heights = (
             y + step
             for step in steps
             if (step == 0.0 or y + step > top)
@@ -346,7 +395,7 @@ def place_names(
                 for u, v, other in labels
             )
         )
-        labels.append((x, next(free, y), name))
+        labels.append((x, next(free_heights, y), name))
     return tuple(labels)
 
 

@@ -13,21 +13,21 @@ if TYPE_CHECKING:
 
 
 def errors_text(errors: "Sequence[ParameterError]", reference_name: str) -> str:
-    """Table of estimated parameters with their sigmas and their errors against known values."""
+    """Table as text: estimated parameters, their sigmas, and their errors against known values."""
     # Here, because it brings the calibrations with it, and a match wants none.
     from trinoc.report.parameter_table import LABELS
 
     rows = []
-    for number, each in enumerate(errors):
-        first = number == 0 or errors[number - 1].camera != each.camera
+    for number, error in enumerate(errors):
+        first = number == 0 or errors[number - 1].camera != error.camera
         rows.append(
             (
-                each.camera if first else "",
-                LABELS[each.parameter],
-                with_sigma(each.value, each.sigma),
-                with_decimals(each.known, 3),
-                with_sign(each.error, significant_decimals(each.sigma)),
-                with_sign(each.over_sigma, 1),
+                error.camera if first else "",
+                LABELS[error.parameter],
+                with_sigma(error.value, error.sigma),
+                with_decimals(error.known, 3),
+                with_sign(error.error, significant_decimals(error.sigma)),
+                with_sign(error.over_sigma, 1),
             )
         )
     head = ("camera", "parameter", "found", reference_name, "error", "error/sigma")
@@ -35,10 +35,10 @@ def errors_text(errors: "Sequence[ParameterError]", reference_name: str) -> str:
 
 
 def counts_text(matches: Matches) -> str:
-    """Numbers that each step of the matching produced and rejected, and notes on them."""
+    """Numbers of candidates and tracks that each step of the matching kept, and the notes."""
     return "\n".join([draw_text(counts_table(matches)), *matches.notes])
 
 
 def reasons_text(matches: Matches) -> str:
-    """Table as text: number of segments for each reason, per view and in total."""
+    """Table as text: number of segments for each reason, for each view and in total."""
     return draw_text(reasons_table(matches))

@@ -38,7 +38,19 @@ QUESTION_ON_MATCHES = {
 
 
 class Verdict(NamedTuple):
-    """The worst of the checks in one sentence, with the number that decides."""
+    """Verdict of a report.
+
+    Attributes
+    ----------
+    level : Level
+        Outcome of the worst check.
+    sentence : str
+        Verdict as a sentence.
+    reason : str
+        Figure and explanation of the worst check.
+    checks : tuple of ReportCheck
+        All checks.
+    """
 
     level: Level
     sentence: str
@@ -85,7 +97,7 @@ def _answer_on_calibration(subject: Subject) -> Answer | None:
     figure = f"{len(good)} of {len(result.status)} cameras calibrated"
     if failed:
         why = result.failures.get(failed[0], result.status[failed[0]].value)
-        remedy = "Mend what the sentence names, and take that picture again."
+        remedy = "Correct the cause that the sentence names, and take that picture again."
         return Answer(len(failed), figure, f"{failed[0]} failed. {why}", remedy=remedy)
     if suspects:
         notes = result.fits[suspects[0]].notes
@@ -100,12 +112,12 @@ def _answer_on_rank(subject: Subject) -> Answer | None:
     if shots is None:
         return None
     if shots.overall_status is Status.SUSPECT:
-        remedy = "Let the shots find that lens, or calibrate it anew."
+        remedy = "Let the shots determine that lens, or calibrate that lens again."
         return Answer(1, "suspect", shots.notes[0], remedy=remedy)
     if shots.overall_status is not Status.CONVERGED:
         return Answer(1, "no rig", shots.overall_status.value)
     if shots.gauge:
-        explanation = f"the shots leave {', '.join(shots.gauge)} free."
+        explanation = f"the shots do not determine {', '.join(shots.gauge)}."
         return Answer(len(shots.gauge), f"{len(shots.gauge)} parameters open", explanation)
     return Answer(0, f"{len(shots.parameters)} parameters", "the fit converged.")
 
@@ -127,8 +139,10 @@ def _answer_on_coverage(subject: Subject, *, by_shots: bool) -> Answer | None:
     if not subject.coverage or (subject.shots is not None) != by_shots:
         return None
     poorest = min(subject.coverage, key=lambda figure: figure.share)
-    subjects = "its places surround" if by_shots else "the circles surround"
-    explanation = f"{subjects} that much in {poorest.name}, and no less elsewhere."
+    subjects = "the board points surround" if by_shots else "the circles surround"
+    explanation = (
+        f"{subjects} this share in {poorest.name}, and at least this share in every other camera."
+    )
     return Answer(poorest.share, f"{percent(poorest.share)} of the picture", explanation)
 
 
@@ -138,14 +152,16 @@ def _answer_on_residuals(subject: Subject) -> Answer | None:
         picture = fit.image if fit.method == "pixels" else None
         chi_square = (fit if picture is None else picture).reduced_chi_square
         ratios[name] = float(np.sqrt(max(chi_square, 0.0)))
-    explanation = "the largest residuals, those of {}; 1 or less is noise and nothing else."
+    explanation = (
+        "the residuals of {}, which are the largest of all cameras; noise alone explains 1 or less."
+    )
     return _worst_ratio(ratios, explanation)
 
 
 def _answer_on_scatter(subject: Subject) -> Answer | None:
     fits = {} if subject.shots is None else subject.shots.fits
     factors = {name: fit.sigma_factor for name, fit in fits.items()}
-    explanation = "the scatter of the places in {}, by which all sigmas are multiplied."
+    explanation = "the residuals of the board points in {}, by which all sigmas are multiplied."
     return _worst_ratio(factors, explanation)
 
 
@@ -172,18 +188,18 @@ def _answer_on_points(subject: Subject) -> Answer | None:
     if field is None or not np.isfinite(field.worst_mm):
         return None
     explanation = (
-        "one sigma where it is largest, on the sheet and above it, by the errors of the cameras "
-        "alone."
+        "the largest sigma of a point on the sheet and above it, from the errors of the cameras "
+        "only."
     )
     advice = "" if result is None else result.advice
     return Answer(field.worst_mm, f"± {millimetres(field.worst_mm)}", explanation, remedy=advice)
 
 
 def _answer_on_lens_fit(subject: Subject) -> Answer | None:
-    fields = [each for each in subject.residuals if np.isfinite(each.over_chance)]
+    fields = [field for field in subject.residuals if np.isfinite(field.over_chance)]
     if not fields:
         return None
-    worst = max(fields, key=lambda each: each.over_chance)
+    worst = max(fields, key=lambda field: field.over_chance)
     explanation = (
         f"mean residuals over parts of the picture of {worst.name}, "
         f"{with_decimals(worst.rms_px, 3)} px rms."
@@ -210,14 +226,19 @@ def _answer_on_halves(subject: Subject) -> Answer | None:
 
 
 def _answer_on_held_out_shots(subject: Subject) -> Answer | None:
-    """Residuals of held-out shots: across cameras, or of a single camera its own."""
+    """Rms residual of held-out shots, with the board's pose from another camera if there are
+    several.
+    """
     held_out = None if subject.shots is None else subject.shots.cross_validation
     if held_out is None:
         return None
     errors = held_out.across_px or held_out.own_px
     worst = max(errors, key=lambda name: errors[name])
-    by = "placed by another camera" if held_out.across_px else "placed by itself"
-    explanation = f"rms over {worst}, the board {by}; lenses and cameras from the other shots."
+    source = "another camera" if held_out.across_px else "the same camera"
+    explanation = (
+        f"rms over {worst}, with the board's pose from {source}, and lenses and cameras from the "
+        "other shots."
+    )
     return Answer(errors[worst], f"{with_decimals(errors[worst], 3)} px", explanation)
 
 
@@ -228,8 +249,8 @@ def _answer_on_pixels(subject: Subject) -> Answer | None:
     at_boards = uncertainty.at_boards
     explanation = (
         "one sigma, the median over the images at the distance of the boards; "
-        f"{at_boards.worst_px:.2g} px at the worst place, and "
-        f"{uncertainty.worst_farther_px:.2g} px three times as far."
+        f"{at_boards.worst_px:.2g} px at the worst position, and "
+        f"{uncertainty.worst_farther_px:.2g} px at three times the distance."
     )
     if at_boards.size_px > 0.0:
         explanation += (
@@ -251,7 +272,7 @@ def _answer_on_frames(subject: Subject) -> Answer | None:
     uncertain = sum(bool(fate.care) for fate in recording.frames)
     if uncertain:
         explanation += f" Of these, use {uncertain:,} with care."
-    figure = f"{count - len(bad):,} of {count:,} frames are well"
+    figure = f"{count - len(bad):,} of {count:,} frames have no problem"
     return Answer(len(bad) / count, figure, explanation)
 
 
@@ -260,7 +281,10 @@ def _answer_on_time(subject: Subject) -> Answer | None:
     if recording is None or not len(recording.agreement):
         return None
     low, high = recording.agreement.min(), recording.agreement.max()
-    explanation = "medians of frames in a row, by which the views place a segment differently."
+    explanation = (
+        "the difference between the views in the position of a segment (medians of consecutive "
+        "frames)."
+    )
     figure = f"{with_decimals(low, 2)} to {with_decimals(high, 2)} times their sigma"
     return Answer(high, figure, explanation)
 
@@ -274,50 +298,53 @@ NOISY = 2**0.5
 CHECKS = (
     Limits(
         "Did every frame work?", "recording", 0,
-        "Look at these frames; where they are many in a row, something moved there.",
+        "Look at these frames. If they are consecutive, something moved there.",
         _answer_on_frames,
         bad=0.5,
     ),
     Limits(
         "Do the views agree in all frames?", "recording", 2,
-        "A camera was knocked where the line steps: run `trinoc check` on a frame behind it.",
+        "A camera was knocked where the line has a step: run `trinoc check` on a later frame.",
         _answer_on_time,
     ),
     Limits(
         "Is every camera calibrated?", "cameras", 0,
-        "The picture is not what the model says, so its sigmas are too small: check the pattern "
+        "The model does not describe the picture, so the sigmas are too small: check the pattern "
         "file, the lens, focus and light, and calibrate again.",
         _answer_on_calibration,
         Level.BAD,
     ),
     Limits(
         "Is everything determined?", "cameras", 0,
-        "Show the board in more places, nearer and tilted, and let cameras share shots.",
+        "Show the board at more positions, nearer and tilted, and show it to several cameras in "
+        "one shot.",
         _answer_on_rank,
         Level.BAD,
     ),
     Limits(
         "Do the shots agree?", "shots", 0,
-        "Mend what the sentence names, or take these shots out.",
+        "Correct the cause that the sentence names, or remove these shots.",
         _answer_on_shots,
     ),
     Limits(
         "Does the sheet fill the images?", "detection", 0.1,
-        "Beyond the circles lens and angles are extrapolated: bring the sheet nearer or print it "
-        "larger.",
+        "Outside the circles, the lens and the angles are extrapolated: move the sheet nearer, or "
+        "print a larger sheet.",
         lambda subject: _answer_on_coverage(subject, by_shots=False),
         at_least=True,
     ),
     Limits(
         "Did the board cover the images?", "field-of-board", 0.4,
-        "Beyond them the lens is extrapolated: show the board near the edges and corners.",
+        "Outside these regions, the lens is extrapolated: show the board near the edges and "
+        "corners.",
         lambda subject: _answer_on_coverage(subject, by_shots=True),
         at_least=True,
     ),
     Limits(
         "Do the residuals agree with the noise?", "detection", NOISY,
-        "Look at the arrows: a swirl or a fan is the lens (run `trinoc intrinsics`), one side "
-        "alone a bent sheet or a shadow, all over a wrong pattern file.",
+        "Look at the arrows: a swirl or a fan shows an error of the lens (run `trinoc "
+        "intrinsics`), arrows on one side only show a bent sheet or a shadow, and arrows "
+        "everywhere show a wrong pattern file.",
         _answer_on_residuals,
         bad=3,
     ),
@@ -329,38 +356,38 @@ CHECKS = (
     ),
     Limits(
         "Does the lens fit everywhere?", "field-of-board", 3,
-        "A swirl or a fan is the lens: try `--lens-model auto`. Arrows that agree within one shot "
-        "alone are a bent board.",
+        "A swirl or a fan shows an error of the lens: try `--lens-model auto`. Arrows that agree "
+        "within one shot only show a bent board.",
         _answer_on_lens_fit,
     ),
     Limits(
         "Do two halves of the shots agree?", "cameras", APART,
-        "Something is not in the model: the lens, the board, or cameras that moved. The sigmas "
-        "claim too much.",
+        "The model of the lens, of the board or of the cameras' poses is not sufficient, so the "
+        "sigmas are too small.",
         _answer_on_halves,
         bad=FAR_APART,
     ),
     Limits(
         "How large is the held-out residual?", "shots", None,
-        "If that is much more than the residuals: more shots, at more places and tilts.",
+        "If this is much more than the residuals, take more shots, with more positions and tilts.",
         _answer_on_held_out_shots,
     ),
     Limits(
         "How large is the sigma of a pixel?", "uncertainty", None,
-        "If that is too much: shots near the edges, at both ends of the working distance.",
+        "If this is too much, take shots near the edges, and at both ends of the working distance.",
         _answer_on_pixels,
     ),
     Limits(
         "Do the cameras agree with each other?", "epipolar", 0.1,
-        "A segment is matched within some tenths of a pixel: calibrate the lens, and check that "
-        "sheet and cameras stood still between the pictures.",
+        "The epipolar lines must be accurate to some tenths of a pixel: calibrate the lens, and "
+        "check that sheet and cameras did not move between the pictures.",
         _answer_on_epipolar_lines,
         bad=0.5,
     ),
     Limits(
         "How large is the sigma of a point?", "field", None,
-        "If that is too much: measure the bars of the sheet (`--print-scale`), calibrate the lens, "
-        "put the cameras farther apart.",
+        "If this is too much, measure the bars of the sheet (`--print-scale`), calibrate the lens, "
+        "or put the cameras farther apart.",
         _answer_on_points,
     ),
 )  # fmt: skip

@@ -27,27 +27,31 @@ class KeptShots:
 
     @property
     def written(self) -> list[Path]:
-        """Paths to report as written: the files of one camera, or the common folder of several."""
+        """Paths for the user's list of written files: each file of a single camera, or the common
+        folder.
+        """
         return [self.folder] if self._written and "" not in self.folders else self._written
 
     def names(self) -> list[str]:
-        """Names of the saved shots, in order."""
+        """Names of the saved shots, such as "shot_0001", in order."""
         return sorted(
             {path.stem for folder in self.folders.values() for path in folder.glob("shot_*.png")}
         )
 
     def read(self) -> Iterator[Moment]:
-        """Iterate over the saved shots. Raises InputError for an unreadable image."""
+        """Yield the saved shots in order. Raises InputError if an image is not readable."""
         for name in self.names():
             files = {camera: folder / f"{name}.png" for camera, folder in self.folders.items()}
             existing = {camera: file for camera, file in files.items() if file.exists()}
             yield Moment(name, {camera: read_image(file) for camera, file in existing.items()})
 
     def keep(self, moment: Moment, cameras: Collection[str]) -> str:
-        """Save the images of some cameras and return the name of the shot.
+        """Save the images of some cameras at one moment, and return the name of the shot.
 
-        A moment that is saved again has the same name. Raises InputError if the images are not 8 or
-        16 bit.
+        The same moment saved again keeps its name. Raises InputError if the images are not 8 or 16
+        bit.
+
+        cameras : names of the cameras whose images are saved.
         """
         pictures = {camera: _expect_whole_numbers(moment, camera) for camera in cameras}
         if moment.name not in self._names:

@@ -16,9 +16,11 @@ REFUSAL = "Refused: open this page by its own address, http://127.0.0.1 with its
 
 
 def may_ask(hosts: Sequence[str], origins: Sequence[str]) -> bool:
-    """True if a request with these Host and Origin headers comes from the server's own page.
+    """True if a request comes from the server's own page.
 
     Any port is accepted, because a tunnel (`ssh -L`) may change it.
+
+    hosts, origins : values of the request's Host and Origin headers.
     """
     if len(hosts) != 1 or not _LOCAL.fullmatch(hosts[0]):
         return False

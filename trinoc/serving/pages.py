@@ -26,7 +26,7 @@ _SECURITY = {
 
 
 class PageContent(NamedTuple):
-    """Media type and bytes of a response."""
+    """Response of the server: media type and bytes."""
 
     media_type: str
     content: bytes
@@ -34,10 +34,12 @@ class PageContent(NamedTuple):
 
 @contextlib.contextmanager
 def serve_pages(pages: Mapping[str, Callable[[], PageContent]], *, port: int = 0) -> Iterator[str]:
-    """Serve pages by path while the block runs; yields the address.
+    """Context manager that serves pages over HTTP on this machine, and yields the address of "/".
 
-    `pages` maps paths such as "/" to functions that generate the content. Raises InputError if the
-    port is in use.
+    Raises InputError if the port is in use.
+
+    pages : function for each path, such as "/", that generates the content.
+    port : port; 0 for a free one.
     """
     handler = type("_Handler", (_Handler,), {"pages": dict(pages)})
     try:
@@ -60,7 +62,7 @@ def serve_pages(pages: Mapping[str, Callable[[], PageContent]], *, port: int = 0
 
 
 class _Handler(http.server.BaseHTTPRequestHandler):
-    """Handler of one request; only GET is supported."""
+    """Handler of HTTP requests. Only GET is supported."""
 
     pages: Mapping[str, Callable[[], PageContent]]
     server_version, sys_version = "trinoc", ""

@@ -43,7 +43,7 @@ _SEARCHED = 20
 
 
 class WatchSession:
-    """Evaluates moments as they arrive.
+    """Session in which the images of a board are evaluated as they arrive.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class WatchSession:
     kept : KeptShots or None
         Folder of saved shots; None to save nothing.
     say : callable
-        Receives lines of text for the user.
+        Function that receives lines of text for the user.
     """
 
     def __init__(
@@ -82,19 +82,20 @@ class WatchSession:
 
     @property
     def informative_shots(self) -> tuple[Shot, ...]:
-        """Shots for the calibration: the saved ones.
-
-        If nothing is saved, all shots with a good image.
+        """Shots that the calibration will use: the saved ones, or all with a good image if none is
+        saved.
         """
         if self.kept is None:
             return tuple(shot for shot in self.shots if shot.good_cameras)
         return tuple(shot for shot in self.shots if shot.saved_name)
 
     def look(self, moment: Moment, *, is_kept: bool = False) -> None:
-        """Evaluate a moment, save it if it adds information, and report.
+        """Evaluate the images of one moment, save them if they add information, and report the
+        result.
 
-        `is_kept` marks a shot that an earlier run saved under this name. Raises InputError if the
-        shot cannot be saved.
+        Raises InputError if the images cannot be saved.
+
+        is_kept : True for a shot that an earlier run saved.
         """
         qualities = {camera: self._judge(moment, camera) for camera in moment.pictures}
         # A rewritten image replaces its earlier version.
@@ -121,7 +122,9 @@ class WatchSession:
         self._say(f"{line}\n  {advice.sentence}" if shot.good_cameras or self.is_named else line)
 
     def _draw(self, outlines: Mapping[str, Float[np.ndarray, "4 2"]]) -> None:
-        """Update the thumbnails, with the outlines of the board in its goal position."""
+        """Update the thumbnails of the page. outlines : (4, 2) px, goal position of the board, by
+        camera.
+        """
         thumbnails = {}
         for camera, image in self._last.items():
             qualities = camera_qualities(self.shots, camera)
@@ -134,9 +137,10 @@ class WatchSession:
     def draw_next_shot(
         self, rig: Rig, cameras: Sequence[str], world_from_board: Float[np.ndarray, "3 4"]
     ) -> None:
-        """Draw the board at a position of the next shot into the last images of some cameras.
+        """Draw the board at the pose of the recommended next shot into the last images of some
+        cameras.
 
-        `world_from_board` (3, 4) is the pose of the board in the world of `rig`.
+        world_from_board : (3, 4) pose of the board in the world of `rig`.
         """
         corners_mm = np.pad(outline_mm(self._target.centres_mm), ((0, 0), (0, 1)))
         corners_world_mm = Pose(world_from_board).transform_points(corners_mm)
@@ -164,14 +168,20 @@ class WatchSession:
         tone: Literal["plain", "good", "bad"] = "plain",
         is_last: bool = False,
     ) -> None:
-        """Set headline and details of the page in place of the advice."""
+        """Show a headline and details on the page, where the advice was.
+
+        tone : colour of the headline. is_last : True if the page will not change any more.
+        """
         self.watched = self.watched._replace(
             headline=headline, details=tuple(details), tone=tone, is_last=is_last
         )
 
     @contextlib.contextmanager
     def serve(self, port: int) -> Iterator[str]:
-        """Serve the page while the block runs; yields its address. Raises InputError."""
+        """Context manager that serves the page, and yields its address.
+
+        Raises InputError if the port is in use.
+        """
         pages: dict[str, Callable[[], PageContent]] = {"/": self._page}
         for number in range(len(self.cameras)):
             pages[f"/{number}.jpg"] = partial(self._picture, number)
@@ -194,13 +204,13 @@ class WatchSession:
                 time.sleep(_LOOK_EVERY_S)
 
     def summarise(self) -> str:
-        """Summary of the session for the user."""
+        """Return the summary of the session as text."""
         if self.is_named:
             return "\n".join(summarise_watch(self.shots, self.cameras))
         return "\n".join(summary_lines(camera_qualities(self.shots, "")))
 
     def record(self) -> dict[str, Any]:
-        """Summary of the session for JSON."""
+        """Return the summary of the session as a JSON object."""
         advice = advise_cameras(self.shots, self.cameras).sentence
         if not self.is_named:
             qualities = camera_qualities(self.shots, "")

@@ -28,14 +28,17 @@ PATIENCE = 10
 
 
 class Moment(NamedTuple):
-    """Images of the cameras at one time, by name; an InputError in place of an unreadable one."""
+    """Images of all cameras at one time, by camera name.
+
+    An image that is not readable is replaced by its InputError.
+    """
 
     name: str
     pictures: Mapping[str, np.ndarray | InputError]
 
 
 def find_kind(source: str) -> Literal["camera", "video", "folder"]:
-    """Kind of a source: "camera" for a number, "video" for a file, else "folder"."""
+    """Return the kind of a source: "camera" for a number, "video" for a file, else "folder"."""
     if source.isdecimal():
         return "camera"
     return "video" if Path(source).is_file() else "folder"
@@ -44,23 +47,23 @@ def find_kind(source: str) -> Literal["camera", "video", "folder"]:
 def open_source(
     sources: Mapping[str, str], every_s: float, *, once: bool, warn: Callable[[str], None]
 ) -> Iterator[Moment]:
-    """Iterate over the moments of the cameras' sources, all of one kind.
+    """Yield the moments of the cameras' sources, which are all of one kind.
 
     Parameters
     ----------
-    sources : mapping of str
+    sources : mapping of camera to str
         Source of each camera; "" is the name of a single unnamed camera.
     every_s : float
-        Interval in seconds.
+        Interval between moments, in seconds.
     once : bool
-        Read the existing images of a folder only.
+        True to read only the existing images of a folder.
     warn : callable
-        Receives sentences on possible mistakes.
+        Function that receives sentences on possible mistakes.
 
     Raises
     ------
     InputError
-        Immediately, if a source is invalid; a camera is opened with the first moment.
+        When called, if a source is invalid; at the first moment, if a camera does not open.
     """
     kind = find_kind(next(iter(sources.values())))
     if kind == "camera":
@@ -78,7 +81,10 @@ def open_source(
 
 
 class FolderArrivals:
-    """New images of a folder: each one after it is completely written, and again after a change."""
+    """New images of one folder.
+
+    An image is returned after it is completely written, and again after it has changed.
+    """
 
     def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
@@ -93,9 +99,9 @@ class FolderArrivals:
         self._returned: dict[Path, tuple[int, int]] = {}
 
     def ready(self, *, immediately: bool = False) -> list[Path]:
-        """New images that did not change since the last call, oldest first.
+        """Return the new images that are completely written, oldest first.
 
-        `immediately` also returns images that are seen for the first time.
+        immediately : True to include images that were not yet found by an earlier call.
         """
         arrived = []
         for path in self._folder.iterdir():
@@ -116,7 +122,7 @@ class FolderArrivals:
 
 
 def watch_folder(arrivals: FolderArrivals, every_s: float, *, once: bool) -> Iterator[Moment]:
-    """Images of one camera's folder; with `once`, only the existing ones."""
+    """Yield the images of one camera's folder. once : True for the existing images only."""
     while True:
         for path in arrivals.ready(immediately=once):
             yield Moment(path.name, {"": _read(path)})
@@ -128,9 +134,9 @@ def watch_folder(arrivals: FolderArrivals, every_s: float, *, once: bool) -> Ite
 def watch_folders(
     arrivals: Mapping[str, FolderArrivals], every_s: float, *, once: bool
 ) -> Iterator[Moment]:
-    """Shots from several cameras' folders, paired by file names as in `load_shots`.
+    """Yield the shots of several cameras' folders, paired by file names as in `load_shots`.
 
-    An incomplete shot is returned without the missing image after PATIENCE scans.
+    An incomplete shot is yielded after PATIENCE scans of the folders.
     """
     existing: dict[str, set[Path]] = {camera: set() for camera in arrivals}
     scans_waited: dict[tuple[str, Path], int] = {}
@@ -152,7 +158,7 @@ def watch_folders(
 
 
 def _pair_files(existing: Mapping[str, set[Path]]) -> list[tuple[str, dict[str, Path]]]:
-    """(name, files by camera) of each shot."""
+    """Return (name, files by camera) of each shot, sorted by name."""
     files = {camera: sorted(camera_files) for camera, camera_files in existing.items()}
     names = name_shots(
         {camera: [file.stem for file in camera_files] for camera, camera_files in files.items()}
@@ -172,9 +178,12 @@ def _read(path: Path) -> np.ndarray | InputError:
 
 
 def watch_cameras(numbers: Mapping[str, int], every_s: float) -> Iterator[Moment]:
-    """Sharpest moment of every interval of `every_s` seconds, from cameras of this machine.
+    """Yield the sharpest moment of every interval of `every_s` seconds, from cameras of this
+    machine.
 
-    Raises InputError if a camera does not open or stops sending.
+    Raises InputError if a camera does not open or stops sending images.
+
+    numbers : number of each camera in OpenCV, by name.
     """
     with contextlib.ExitStack() as stack:
         cameras = {}
@@ -218,13 +227,13 @@ def _expect_all(received: Mapping[str, bool], numbers: Mapping[str, int]) -> Non
 
 
 class _Sharpest:
-    """The sharpest of the offered moments: motion of the board blurs an image."""
+    """Sharpest moment of an interval. A moving board blurs the image."""
 
     def __init__(self, frames: Mapping[str, np.ndarray], name: str = "") -> None:
         self._frames, self._contrast, self.name = frames, self._measure(frames), name
 
     def offer(self, frames: Mapping[str, np.ndarray], name: str = "") -> None:
-        """Replace the moment if this one is sharper."""
+        """Replace the stored images if these are sharper."""
         contrast = self._measure(frames)
         if contrast > self._contrast:
             self._frames, self._contrast, self.name = frames, contrast, name
@@ -236,14 +245,16 @@ class _Sharpest:
 
     @property
     def pictures(self) -> dict[str, np.ndarray]:
-        """Images in the format of the file reader."""
+        """Images of the sharpest moment, in the channel order of `read_image`."""
         return {name: to_picture(frame) for name, frame in self._frames.items()}
 
 
 def watch_videos(
     videos: Mapping[str, Video], every_s: float, warn: Callable[[str], None]
 ) -> Iterator[Moment]:
-    """Sharpest moment of every interval of synchronised videos, until the first one ends."""
+    """Yield the sharpest moment of every interval of synchronised videos, until the first video
+    ends.
+    """
     rate = common_rate(videos)
     moments = ((f"{number / rate:.2f} s", frames) for number, frames in read_moments(videos, warn))
     while first := next(moments, None):

@@ -65,7 +65,7 @@ class WatchState(NamedTuple):
 
 
 def watch_page(state: WatchState) -> PageContent:
-    """The page as HTML."""
+    """Return the page as HTML."""
     shots, last = state.shots, state.shots[-1] if state.shots else None
     html = _TEMPLATES.get_template("watch.html.j2").render(
         title=state.title,
@@ -85,12 +85,14 @@ def watch_page(state: WatchState) -> PageContent:
 
 
 def picture_page(state: WatchState, number: int) -> PageContent:
-    """Last image of a camera as JPEG."""
+    """Return the last image of a camera as JPEG. number : index of the camera."""
     return PageContent("image/jpeg", state.thumbnails.get(state.cameras[number], b""))
 
 
 def _view(state: WatchState, number: int) -> dict[str, Any]:
-    """Template values of one camera: its last image and its covered field."""
+    """Values for the page's template about one camera: its last image and the covered part of its
+    field.
+    """
     camera = state.cameras[number]
     qualities = camera_qualities(state.shots, camera)
     last, cells = qualities[-1] if qualities else None, covered_cells(qualities)
@@ -112,7 +114,9 @@ def _view(state: WatchState, number: int) -> dict[str, Any]:
 
 
 def _address(state: WatchState, number: int) -> str:
-    """Address of a camera's last image; embedded data if the server is about to stop."""
+    """Address of a camera's last image; the image itself as a data URI if the server is about to
+    stop.
+    """
     content = state.thumbnails.get(state.cameras[number])
     if not content:
         return ""
@@ -122,7 +126,7 @@ def _address(state: WatchState, number: int) -> str:
 
 
 def _rows(state: WatchState) -> list[tuple[Shot, str, ImageQuality]]:
-    """Last evaluated images, newest first."""
+    """Most recent images with their shot and camera name, newest first."""
     rows = [(shot, *item) for shot in state.shots[::-1] for item in shot.qualities.items()]
     return rows[:_MOST_ROWS]
 
@@ -132,9 +136,9 @@ def thumbnail(
     quality: ImageQuality | None = None,
     wanted_px: Float[np.ndarray, "4 2"] | None = None,
 ) -> bytes:
-    """The image as a small JPEG, with the detected points marked.
+    """Return an image as a small JPEG with the detected points marked.
 
-    `wanted_px` are the corners of the goal outline, drawn with a thick upper side.
+    wanted_px : (4, 2) corners of the goal outline, which is drawn with a thick upper side.
     """
     picture = grey_image(image)
     factor = min(1.0, _LONGEST_SIDE_PX / max(picture.size_px))

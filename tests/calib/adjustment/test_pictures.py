@@ -52,7 +52,7 @@ def test_no_error_beyond_four_sigmas_is_silent(name, known, method) -> None:
     assert result.fits["a"].method == method
     assert np.abs(z).max() < 4
     assert (method == "points") == any(
-        "Only its circles were used" in note for note in result.fits["a"].notes
+        "Only the circle centres of this image were used" in note for note in result.fits["a"].notes
     )
 
 

@@ -79,9 +79,9 @@ def test_two_unknowns_that_look_alike_are_named_together(is_print: bool) -> None
     result = calibrated(AHEAD, change, **wrong)
     assert result.status["left"] is Status.SUSPECT
     (note,) = result.notes
-    assert "The print's scale along X against Y" in note
+    assert "the ratio of the print's scales along X and Y" in note
     assert "the focal length" in note
-    assert "one of them is" in note
+    assert "contradict one of these stated values" in note
     assert "--print-scale" in note
     assert "--lens" in note
     assert result.fits["left"].notes[0] == note
@@ -97,6 +97,7 @@ def test_a_lens_that_can_be_told_from_the_print_is_named_alone_with_its_amount()
     result = calibrated(ASIDE, 8 * ALONG_U[:, 0])
     assert result.status["left"] is Status.SUSPECT
     first, *_ = result.fits["left"].notes
-    assert "the images contradict the stated focal length: the fit differs by +0." in first
+    contradiction = "images contradict the stated focal length: the estimate differs from the"
+    assert f"{contradiction} stated value by +0." in first
     assert "sigma. Calibrate the lens" in first
-    assert not any("one of them" in note for note in result.notes)
+    assert not any("one of these" in note for note in result.notes)

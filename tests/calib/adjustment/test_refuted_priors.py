@@ -51,7 +51,7 @@ def test_a_camera_that_misses_the_origin_by_far_is_suspect_alone() -> None:
     first, *others = TABLE_1
     assert result.status[first] is Status.SUSPECT
     (said,) = [note for note in result.fits[first].notes if "misses the origin" in note]
-    assert "was expected" in said
+    assert "stated sigma of the aim" in said
     assert {result.status[name] for name in others} == {Status.CONVERGED}
 
 

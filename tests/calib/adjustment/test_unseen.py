@@ -125,7 +125,7 @@ def test_what_may_go_unseen_is_said_once_in_the_units_of_the_answer() -> None:
         undetectable=0.5 * worst.undetectable, undetectable_strain=0.5 * worst.undetectable_strain
     )
     said = undetectable_errors(*find_undetectable_errors([*tests, weaker]))
-    assert said.count("The sigmas assume an exact lens") == 1
+    assert said.count("The sigmas assume that the lens is exact") == 1
     assert worst.name == "principal point"
     assert f"up to {np.linalg.norm(worst.undetectable):.2g} px of the principal point" in said
     assert said.count("px of the principal point") == 1

@@ -89,5 +89,5 @@ def test_an_earlier_rig_that_does_not_tell_is_no_answer() -> None:
         systematics=EXACT,
     )
     assert result.rig.names == ("left",)
-    assert "does not decide" in result.failures["upper"]
+    assert "does not determine the orientation" in result.failures["upper"]
     assert "has no camera" in result.failures["right"]

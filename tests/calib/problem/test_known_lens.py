@@ -76,7 +76,7 @@ def check_left_is_strained(said: Intrinsics, covariance: np.ndarray) -> None:
         systematics=known_to(covariance, "left"),
     )
     assert found.overall_status is Status.SUSPECT
-    assert found.notes[0].startswith('Lens of "left": the observations contradict the given lens')
+    assert found.notes[0].startswith('Lens of "left": the images contradict the given lens')
 
 
 def test_a_lens_that_the_shots_refute_is_named():
@@ -113,7 +113,7 @@ def test_what_is_known_of_a_lens_stays_with_more_parameters_and_with_fewer_free(
 
 @pytest.mark.parametrize("stated", [COVARIANCE, {"right": COVARIANCE}])
 def test_the_covariance_of_a_lens_that_is_not_given_is_refused(stated):
-    with pytest.raises(InputError, match=r'but "right" has none in `lens`'):
+    with pytest.raises(InputError, match=r'"right", but `lens` has no lens'):
         calibrate_rig(
             shots(count=4, cameras=TWO),
             BOARD,

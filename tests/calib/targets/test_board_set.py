@@ -41,7 +41,7 @@ def test_boards_that_look_alike_are_refused_whichever_comes_first(
 ) -> None:
     for pair in ((first, second), (second, first)):
         with pytest.raises(
-            InputError, match=r'^The boards ".*" and ".*" look alike in view: .*\.$'
+            InputError, match=r'^The boards ".*" and ".*" look alike in an image: .*\.$'
         ):
             BoardSet(dict(zip("ab", pair, strict=True)))
 
@@ -53,8 +53,8 @@ def test_boards_that_differ_are_a_set() -> None:
     BoardSet([TAGS, AprilGrid(rows=2, columns=3, tag_mm=30.0, first=18, name="next")])
     for wrong, says in (
         ([], "at least one"),
-        ([boards], "is a set itself"),
-        ([CHESS, CHESS], "Two boards are called"),
+        ([boards], "is itself a set"),
+        ([CHESS, CHESS], "Two boards have the name"),
     ):
         with pytest.raises(InputError, match=says):
             BoardSet(wrong)

@@ -77,7 +77,7 @@ def test_it_is_drawn_saved_found_and_a_part_of_sets(tmp_path):
     for target in (board, BoardSet({"a": board, "b": chess})):
         save_target(target, tmp_path / "board.json")
         assert load_target(tmp_path / "board.json") == target
-    with pytest.raises(InputError, match="look alike in view: both climb"):
+    with pytest.raises(InputError, match="look alike in an image: both climb"):
         BoardSet({"a": board, "b": Steps(rows=5, square_mm=3.0)})
     BoardSet({"a": board, "b": Steps(rows=6, square_mm=3.0)})
     found = detect_target(picture, board)

@@ -132,7 +132,7 @@ def test_multical_s_relative_poses_lead_from_the_first_camera(tmp_path):
         for name, pose in document["camera_poses"].items()
     }
     (tmp_path / "calibration.json").write_text(json.dumps(document))
-    with pytest.raises(InputError, match=f'needs the pose of "{first}", without turn or shift'):
+    with pytest.raises(InputError, match=f'must contain the identity as the pose of "{first}"'):
         FORMATS["multical"].load(tmp_path / "calibration.json")
     document["camera_poses"][first] = {"R": np.eye(3).tolist(), "T": [0, 0, 0]}
     (tmp_path / "calibration.json").write_text(json.dumps(document))
@@ -222,8 +222,8 @@ def test_what_easymocap_s_files_lack_is_named(file, old, new, says, tmp_path):
 @pytest.mark.parametrize(
     ("name", "old", "new", "says"),
     [
-        ("anipose", r"\[cam_0\]", "[cameras.0]", "import the file from caliscope"),
-        ("anipose", "name = .*", 'name = "right"', "as of a camera before it"),
+        ("anipose", r"\[cam_0\]", "[cameras.0]", "import the file with the format caliscope"),
+        ("anipose", "name = .*", 'name = "right"', "the name of an earlier camera"),
         ("anipose", "rotation = .*", 'rotation = "null"', "calibrate all cameras together"),
         ("anipose", "rotation = .*", "rotation = [0.0, 1.0]", "axis times angle"),
         ("anipose", "size = .*", "size = [1979-05-27]", "size"),

@@ -17,9 +17,9 @@ SHORT = {
     "pixel (0, 0) is the centre of the top-left pixel": "centre",
     "pixel (0, 0) is the corner of the top-left pixel, (0.5, 0.5) its centre": "corner",
     "x right, y down, z forward": "forward",
-    "the size of a pixel, and with it the focal length in mm": "pixel size",
-    "the fragments in the pictures, and which segments they are of": "fragments",
-    "where the world is: the first camera becomes its origin": "the world",
+    "the size of a pixel, and therefore the focal length in mm": "pixel size",
+    "the fragments in the pictures, and the segments that they belong to": "fragments",
+    "the world frame: the first camera becomes its origin": "the world",
     " (only written)": "",
 }
 

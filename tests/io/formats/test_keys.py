@@ -214,7 +214,7 @@ def test_a_reader_gets_the_keys_that_it_declares_and_no_others(values):
     ("key", "says"),
     [
         ("xi", '"xi" is 2: it bends rays.'),
-        ("lens_tilt", '"lens_tilt" may change where points are imaged'),
+        ("lens_tilt", '"lens_tilt" may change the projection of points'),
         ("lens_focal_length", 'did you mean "focal_length"'),
     ],
 )

@@ -69,7 +69,7 @@ def test_a_fisheye_counts_by_the_angle(tmp_path):
 
 
 def test_an_export_without_a_scale_needs_a_unit(tmp_path):
-    with pytest.raises(InputError, match="no unit: scale the chunk"):
+    with pytest.raises(InputError, match="the unit is unknown: scale the chunk"):
         load(tmp_path, chunk="")
     near, far = (load(tmp_path, chunk="", unit_mm=unit).cameras[0] for unit in (1.0, 1000.0))
     np.testing.assert_allclose(far.centre_world_mm, 1000 * near.centre_world_mm, rtol=1e-12)
@@ -87,7 +87,7 @@ def test_an_export_without_a_scale_needs_a_unit(tmp_path):
         ({"lens": LENS.replace('"1200"', '"0"')}, "whole positive pixels"),
         ({"motion": "1 0 0"}, "transform"),
         ({"chunk": CHUNK.replace(">4<", ">-4<")}, "scale"),
-        ({"camera": "<master_id>0</master_id>"}, "hangs on another"),
+        ({"camera": "<master_id>0</master_id>"}, "relative to another camera"),
     ],
 )
 def test_what_is_no_camera_is_named(options, says, tmp_path):

@@ -183,7 +183,9 @@ def test_rims_of_other_views_are_refused(rig) -> None:
     segments = chords_seen(rig, [FLAT])
     rims = find_rims(match_segments(segments, rig), segments, rig)
     two = {name: segments[name] for name in VIEWS[:2]}
-    with pytest.raises(InputError, match="upper, left, right, but the matches of upper, left"):
+    with pytest.raises(
+        InputError, match="upper, left, right, but the matches are of the views upper, left"
+    ):
         add_rims(match_segments(two, rig), two, rims, segments, rig)
 
 

@@ -60,7 +60,9 @@ def test_the_sentence_has_the_number_its_unit_and_the_remedy():
     assert assessment.status is MatchStatus.UNCERTAIN
     assert f"± {sigma:.0f} mm, 12 % of the scene" in assessment.sentence
     assert assessment.sentence.endswith(assessment.deciding.remedy)
-    assert assessment.deciding.remedy.startswith("Put the cameras farther apart")
+    assert assessment.deciding.remedy.startswith(
+        "To reduce the sigmas, put the cameras farther apart"
+    )
 
 
 @pytest.mark.parametrize("clutter", [0, 200, 20_000])
@@ -94,7 +96,7 @@ def test_few_sure_lines_are_not_usable_however_exact():
         assert (assessment.status is MatchStatus.MATCHED) is (count >= fewest)
         if count < fewest:
             assert assessment.deciding.figure == f"{count} sure lines in three views or more"
-            assert "check that this rig took these images" in assessment.sentence
+            assert "Check that this rig took these images" in assessment.sentence
 
 
 def test_two_views_are_never_more_than_usable_with_care():

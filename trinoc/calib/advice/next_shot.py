@@ -55,11 +55,14 @@ class NextShot(NamedTuple):
         name = self.parameter
         if name is not None and not np.isfinite(self.sigma_now[name]):
             sigma = self.sigma_then[name]
-            return f"Next, {self.instruction}: it would determine {name} to {sigma:.2g}."
+            return (
+                f"Next, {self.instruction}: this shot would determine {name} with a sigma of "
+                f"{sigma:.2g}."
+            )
         share = 100.0 * (1.0 - self.error_then_px / self.error_now_px)
         sentence = (
-            f"Next, {self.instruction}: the largest error of lenses and cameras would fall by "
-            f"{max(share, 0.0):.0f} %"
+            f"Next, {self.instruction}: this shot would reduce the largest error of lenses and "
+            f"cameras by {max(share, 0.0):.0f} %"
         )
         if name is None:
             return f"{sentence}."
@@ -108,7 +111,9 @@ def next_shot(result: CalibrationResult) -> NextShot | None:
     check_kind(result, CalibrationResult, "result", "what calibrate_rig returns")
     end = result.solved_problem
     if end is None:
-        reason = result.overall_status.value if result.views else "It is not from many shots."
+        reason = "The result is not from many shots."
+        if result.views:
+            reason = result.overall_status.value
         raise InputError(f"A shot cannot be added to this result: {reason}")
     problem = end.problem
     best = _best_shot(problem, end.covariance, end.variance_factor)

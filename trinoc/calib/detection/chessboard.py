@@ -56,7 +56,8 @@ def detect_chessboard(
     if corners_px is None:
         raise DetectionError(
             f"No chessboard {board.name!r} of {board.rows} x {board.columns} inner corners was "
-            "found in the image; show all of it, with a light margin, in focus."
+            "found in the image; show the whole board in focus, with a light margin around the "
+            "board."
         )
     orders = _orders_from_front(corners_px, board)
     matching = [order for order in orders if _light_minus_dark(grey, corners_px[order], board) > 0]

@@ -82,8 +82,8 @@ def detect_circles(
 
 def _no_sheet_error(pattern: Pattern) -> DetectionError:
     return DetectionError(
-        f"No sheet of the pattern {pattern.name!r} was found in the image; check that it is flat,"
-        " uncovered, in focus, and large enough."
+        f"No sheet of the pattern {pattern.name!r} was found in the image; check that the sheet is "
+        "flat, uncovered, in focus, and large enough in the image."
     )
 
 
@@ -175,8 +175,8 @@ def _read_sheet(
     if len(index) < fewest:
         count = f"Only {len(index)}" if len(index) else "None of the"
         raise DetectionError(
-            f"{count} circles of the pattern {pattern.name!r} can be measured; show at least"
-            f" {fewest} complete circles, without motion and in focus."
+            f"Only {count} circles of the pattern {pattern.name!r} can be measured; show at least "
+            f"{fewest} complete circles, without motion and in focus."
         )
     labellings = symmetry.symmetries[:, index]
     rightward = [rightward_cosine(ellipses.centres_px, pattern.centres_mm[k]) for k in labellings]

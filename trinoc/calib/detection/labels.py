@@ -212,8 +212,8 @@ def label_circles(
         )
     if is_ambiguous:
         raise DetectionError(
-            f"Only {len(cell)} circles of the pattern {pattern.name!r} are visible, which fit it at"
-            " more than one position; show more of the sheet."
+            f"Only {len(cell)} circles of the pattern {pattern.name!r} are visible, and they fit "
+            "the pattern at more than one position; show more of the sheet."
         )
     return index
 

@@ -123,9 +123,9 @@ def _check_legacy(board: Charuco, markers: Mapping[int, Float[np.ndarray, "4 2"]
     stated_count, other_count = (count_markers_in_place(markers, b) for b in (board, other))
     if other_count >= stated_count + _MORE_IN_PLACE:
         raise DetectionError(
-            f"{other_count} markers of {board.dictionary} are visible where the board "
-            f"{board.name!r} has them with legacy={'yes' if other.legacy else 'no'}: correct its "
-            "layout."
+            f"{other_count} markers of {board.dictionary} are visible at the positions that the "
+            f"board {board.name!r} has with legacy={'yes' if other.legacy else 'no'}: correct "
+            "the layout file."
         )
 
 

@@ -90,9 +90,9 @@ class MarkerReading(NamedTuple):
         if not self.board.mirrored:
             return f"{what} of the stated board; {fit}: correct its layout."
         return (
-            f"{what}; {fit}: state this for a mirrored print, such as the back of a two-sided "
-            "board, which is a second board of a set; otherwise check whether the camera's driver "
-            "mirrors its images."
+            f"{what}; {fit}: state this in the layout if the print is mirrored, such as the back "
+            "of a two-sided board, which is a second board of a set; otherwise check whether the "
+            "camera's driver mirrors its images."
         )
 
 

@@ -92,8 +92,9 @@ def _choose_labelling(
     order = np.argsort(errors_px)
     if not errors_px[order[0]] * tuning.detection.orientation_ratio < errors_px[order[1]]:
         return (
-            f"{sheet}, and the earlier rig does not decide: the best two orientations have errors "
-            f"of {errors_px[order[0]]:.0f} and {errors_px[order[1]]:.0f} px: give a newer rig."
+            f"{sheet}, and the earlier rig does not determine the orientation: the best two "
+            f"orientations have errors of {errors_px[order[0]]:.0f} and {errors_px[order[1]]:.0f} "
+            "px. Give a newer rig."
         )
     return choices[order[0]]
 

@@ -89,8 +89,8 @@ def _detect(
         return _detect_board_set(image, target, tuning)
     if type(target) not in DETECTORS:
         raise InputError(
-            f"Nothing detects a {type(target).__name__}: give a Pattern, a Chessboard, a Charuco, "
-            "an AprilGrid or a BoardSet."
+            f"A {type(target).__name__} cannot be detected: give a Pattern, a Chessboard, a "
+            "Charuco, an AprilGrid or a BoardSet."
         )
     # Overflows are detected by `remove_unusable`.
     with np.errstate(all="ignore"):
@@ -144,7 +144,8 @@ def _detect_board_set(
         labels.append(first + part.labellings)
     if not parts:
         raise DetectionError(
-            f"None of the boards {', '.join(boards.names)} was found; for the first: {failures[0]}"
+            f"None of the boards {', '.join(boards.names)} was found. Reason for the first board: "
+            f"{failures[0]}"
         )
     return build_detection(
         np.stack([np.concatenate(labelling) for labelling in product(*labels)]),

@@ -45,13 +45,15 @@ def remove_unusable(detection: Detection, target: AbstractTarget, tuning: CalibT
             tuning,
         )
         if not in_place.all():
-            remarks.append(f"{_count(~in_place)} a position that its neighbours contradict")
+            remarks.append(
+                f"{_count(~in_place)} a position that contradicts the neighbouring points"
+            )
         usable[rows[~in_place]] = False
     fewest = tuning.detection.fewest_places
     if not usable.all() and usable.sum() < fewest:
         raise DetectionError(
             f"Only {usable.sum()} of the {len(usable)} points found on the board {target.name!r} "
-            f"can be used, and {fewest} are needed; check that the image is sharp, not "
+            f"can be used, and at least {fewest} are needed; check that the image is sharp, not "
             "overexposed, and shows this board."
         )
     return build_detection(

@@ -177,7 +177,7 @@ def _levels(
         if len(values) < fewest_pixels:
             raise InputError(
                 f"A colour of the mosaic has only {len(values)} pixels on the sheet, and "
-                f"{fewest_pixels} are needed to balance it: interpolate the mosaic first."
+                f"{fewest_pixels} are needed to balance the colours: interpolate the mosaic first."
             )
         middle = np.median(values)
         spread = np.median(np.abs(values - middle)) + 1.0

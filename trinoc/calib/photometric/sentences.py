@@ -3,20 +3,20 @@
 from trinoc.image.response import PowerResponse
 
 TWO_LEVELS = (
-    "the grey levels cannot be fitted, because the image has only two levels: deliver 8 bits or "
-    "more."
+    "the grey levels cannot be fitted, because the image has only two levels. Give an image of 8 "
+    "bits or more."
 )
 TOO_FEW_EDGES = (
-    "the grey levels cannot be fitted, because too few edges of the sheet are visible or their "
-    "contrast is too low: show more of the sheet, or use more light."
+    "the grey levels cannot be fitted, because too few circles and lines of the sheet are visible, "
+    "or their contrast is too low. Show more of the sheet, or use more light."
 )
 NOT_CONVERGED = (
-    "the fit to the grey levels did not converge: check focus and light, and that nothing covers "
+    "the fit to the grey levels did not converge. Check focus and light, and that nothing covers "
     "the sheet."
 )
-S_CURVE = "response with an s-curve"
-WIDE_TAILS = "blur with wide tails"
-FLAT_TOP = "blur with a flat top"
+S_CURVE = "an s-shaped response of the camera"
+WIDE_TAILS = "a blur with wide tails"
+FLAT_TOP = "a blur with a flat top"
 SATURATED = "saturated paper"
 UNEVEN_LIGHT = "uneven light"
 
@@ -29,8 +29,8 @@ def contradicts_circles(distance_px: float) -> str:
     distance_px : largest distance between the images of a circle centre by the two estimates.
     """
     return (
-        f"the grey levels contradict the circles by {distance_px:.2f} px: check that nothing "
-        "covers the sheet."
+        f"the fit to the grey levels moves a circle by {distance_px:.2f} px, which contradicts its "
+        "detected centre. Check that nothing covers the sheet."
     )
 
 
@@ -43,7 +43,8 @@ def response_of(bend: float, sigma: float) -> str:
         deviation.
     """
     return (
-        f"response {PowerResponse(bend).description} ({bend:.2f} +- {sigma:.2f}, 0 linear, 1 sRGB)"
+        f"a camera response {PowerResponse(bend).description} ({bend:.2f} +- {sigma:.2f}, where 0 "
+        "is linear and 1 is sRGB)"
     )
 
 
@@ -54,7 +55,7 @@ def sharpened(amplitude: float) -> str:
     ----------
     amplitude : weight of the sharpening filter.
     """
-    return f"sharpened ({amplitude:.2f})"
+    return f"sharpening by software (amplitude {amplitude:.2f})"
 
 
 def moved(length_px: float, angle_deg: float) -> str:
@@ -65,7 +66,7 @@ def moved(length_px: float, angle_deg: float) -> str:
     length_px : length of the motion in the image.
     angle_deg : direction of the motion, from u toward v.
     """
-    return f"motion blur of {length_px:.1f} px at {angle_deg:.0f} degrees"
+    return f"a motion blur of {length_px:.1f} px at {angle_deg:.0f} degrees"
 
 
 def correlated_noise(inflation: float) -> str:
@@ -75,4 +76,7 @@ def correlated_noise(inflation: float) -> str:
     ----------
     inflation : variance of a mean over neighbouring pixels, divided by that for uncorrelated noise.
     """
-    return f"correlated noise of neighbouring pixels ({inflation:.1f} times the variance)"
+    return (
+        f"correlated noise of neighbouring pixels (the variance of a mean is {inflation:.1f} times "
+        "that of white noise)"
+    )

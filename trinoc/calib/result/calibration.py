@@ -283,7 +283,8 @@ class CalibrationResult(Displayable, Value):
         """
         if not isinstance(self.board, Pattern):
             raise InputError(
-                f"The board is a {type(self.board).__name__}, not a sheet of circles: read `board`."
+                f"The board is a {type(self.board).__name__}, not a sheet of circles: use the "
+                "attribute `board`."
             )
         return self.board
 

@@ -107,7 +107,10 @@ def compare_rigs(
     for name in common:
         one, other = (" x ".join(map(str, rig[name].image_size_px)) for rig in (now, before))
         if one != other:
-            sentences.append(f'The images of "{name}" have {one} px; earlier they had {other} px.')
+            sentences.append(
+                f'The images of "{name}" have {one} px, but the images for the earlier rig had '
+                f"{other} px."
+            )
     new, missing = ([name for name in rig if name not in common] for rig in (now, before))
     if new:
         sentences.append("{} {} not in the earlier rig.".format(*_subject(new)))

@@ -44,7 +44,10 @@ def other_readings(target: AbstractTarget) -> list[BoardReading]:
     readings = []
     if isinstance(target, Chessboard):
         stated = f"{target.rows} x {target.columns} inner corners"
-        for difference, meaning in ((-1, "its squares were counted"), (1, "one row is missing")):
+        for difference, meaning in (
+            (-1, "the layout states the number of squares"),
+            (1, "one row is missing"),
+        ):
             rows, columns = target.rows + difference, target.columns + difference
             if min(rows, columns) < 3:
                 continue
@@ -53,7 +56,7 @@ def other_readings(target: AbstractTarget) -> list[BoardReading]:
                 BoardReading(
                     board,
                     f"The layout states {stated}, but the images show {rows} x {columns} "
-                    f"({meaning}), which was used. Correct the layout.",
+                    f"({meaning}), and this size was used. Correct the layout file.",
                 )
             )
     return readings
@@ -118,7 +121,7 @@ def find_charuco_reading(
         board_name = f'"{names[board_index]}"' if is_set else "the ChArUco board"
         return BoardReading(
             changed,
-            f"The images show {board_name} with {' and '.join(reading.changes)}, which was used. "
-            "Correct its layout.",
+            f"The images show {board_name} with {' and '.join(reading.changes)}, and this layout "
+            "was used. Correct the layout file.",
         )
     return None

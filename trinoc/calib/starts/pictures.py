@@ -99,8 +99,8 @@ def find_boards(
             return str(error)
         except Exception as error:  # one image must not end a calibration
             return (
-                f"The detection stopped at {type(error).__name__} ({error}); please report it with "
-                "this image."
+                f"The detection failed with {type(error).__name__} ({error}). Please report this "
+                "error with this image."
             )
 
     def look_at_all(board: AbstractTarget) -> None:
@@ -209,12 +209,17 @@ def _name_pictures(camera: str, pictures: Pictures) -> dict[str, Picture]:
         pairs = list(pictures.items())
     elif isinstance(pictures, np.ndarray) and pictures.ndim < 3:
         raise InputError(
-            f'Camera "{camera}" has one image instead of a list: give a list of the images of its '
-            "shots."
+            f'Camera "{camera}" has one image, but must have a list of images: give a list of the '
+            "images of its shots."
         )
     else:
         kind = f'set of images of "{camera}"'
-        check_kind(pictures, (Sequence, np.ndarray), kind, "a list of images, or one by shot")
+        check_kind(
+            pictures,
+            (Sequence, np.ndarray),
+            kind,
+            "a list of images, or a dictionary of shot names and images",
+        )
         width = len(str(len(pictures)))
         pairs = [(f"shot {k + 1:0{width}d}", item) for k, item in enumerate(pictures)]
     return {str(name): item for name, item in pairs if item is not None}

@@ -156,9 +156,9 @@ def place_rig(
             board_name = f' "{members[outlier.board]}"' if len(members) > 1 else ""
             refused.append(
                 f'{shot}: "{names[outlier.camera]}" shows the board{board_name} {error_px:.0f} px '
-                f"from where {others} show{'' if ',' in others else 's'} it, so it was not taken "
-                "at the same moment, or shows another board that looks the same; it is used for "
-                "its lens only."
+                f"from the position that {others} give{'' if ',' in others else 's'}, so the "
+                "image was not taken at the same moment, or shows another board that looks the "
+                "same. The image is used for the lens only."
             )
     return InitialRig(
         _stack(cam_from_rig),
@@ -191,9 +191,9 @@ def move_to_own_shots(
         )
         names.append(f"{shot}{_ALONE.format(camera)}")
         refused.append(
-            f'{shot}: "{camera}" shows the board {largest_px:.1f} px from where the other cameras '
-            "of the shot show it, so it was not taken at the same moment; it is used for its lens "
-            "only."
+            f'{shot}: "{camera}" shows the board {largest_px:.1f} px from the position that the '
+            "other cameras of the shot give, so the image was not taken at the same moment. The "
+            "image is used for the lens only."
         )
     return initial_rig._replace(shots=tuple(names), refused=tuple(refused))
 
@@ -251,8 +251,8 @@ def _expect_all_boards(sightings: Mapping[int, Sequence[Sighting]], names: Seque
     for board, name in enumerate(names):
         if board not in detected:
             raise CalibrationError(
-                f'The board "{name}" was found in no image, so that its pose in the set is '
-                "unknown: omit it from the set, or show it."
+                f'The board "{name}" was found in no image, so its pose in the set is unknown: '
+                "omit this board from the set, or show this board."
             )
 
 
@@ -285,9 +285,10 @@ def explain_cameras_apart(
         if shift:
             earlier = "earlier" if shift > 0 else "later"
             return (
-                f'The images of "{names[b]}" fit those of "{names[a]}" that were taken '
-                f"{abs(shift)} shot{'' if abs(shift) == 1 else 's'} {earlier}: the cameras are out "
-                "of step; omit images that only one of them has, or give both the same names."
+                f'The images of "{names[b]}" fit the images of "{names[a]}" that were taken '
+                f"{abs(shift)} shot{'' if abs(shift) == 1 else 's'} {earlier}, so the shots of "
+                "the two cameras do not correspond. Omit images that only one camera has, or give "
+                "the images of one shot the same name."
             )
     parts = "; ".join(list_names(names[k] for k in sorted(group)) for group in groups)
     if broken:
@@ -298,21 +299,21 @@ def explain_cameras_apart(
             if camera not in cameras_with_lens and boards_are_parallel(poses, tuning=tuning):
                 return (
                     f'The board is parallel in all shots of "{camera}", which determines neither '
-                    "its lens nor its pose. Tilt the board by 30 to 50 degrees, in another "
-                    "direction each time, or give the lenses."
+                    "the lens nor the pose of this camera. Tilt the board by 30 to 50 degrees, in "
+                    "a different direction in each shot, or give the lenses."
                 )
         return (
             f'"{names[a]}" and "{names[b]}" share {link.shared} shots, but only {link.agreeing} of '
-            f"them agree on the cameras' relative pose (the groups are {parts}): check that images "
-            "of equal names are of one moment, that no image is mirrored, and that the cameras "
-            "did not move."
+            f"these shots agree on the relative pose of the two cameras (the groups are {parts}). "
+            "Check that images of equal names were taken at one moment, that no image is mirrored, "
+            "and that the cameras did not move."
         )
     return (
         f"No shot connects the cameras: the groups are {parts}. Show the board to cameras of two "
-        "groups at once, in two shots at least."
+        "groups at the same time, in at least two shots."
         + (
-            " Where they see different boards, these must turn about two axes at least from shot "
-            "to shot."
+            " If the cameras show different boards, rotate the boards about at least two axes from "
+            "shot to shot."
             if len(connected.boards) > 1
             else ""
         )

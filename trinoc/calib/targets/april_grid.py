@@ -94,13 +94,13 @@ class AprilGrid(AbstractSquareBoard):
             )
         if not 0.05 <= self.spacing <= 1.0:
             raise InputError(
-                f"The board {self.name!r} has gaps of {self.spacing:g} tags: give their width over "
-                "the side of a tag, from .05 to 1."
+                f"The board {self.name!r} has a spacing of {self.spacing:g}: give the width of a "
+                "gap divided by the side of a tag, from .05 to 1."
             )
         if self.border not in (1, 2) or self.first < 0:
             raise InputError(
-                f"The board {self.name!r} has borders of {self.border} cells and begins at tag "
-                f"{self.first}: give 1 or 2, and a number from 0 on."
+                f"The board {self.name!r} has a border of {self.border} cells and the first tag "
+                f"{self.first}: give a border of 1 or 2 cells, and a first tag of 0 or more."
             )
         check_markers(self.name, self.dictionary, self.first, self.rows * self.columns)
 

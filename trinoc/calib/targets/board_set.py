@@ -55,7 +55,8 @@ class BoardSet(AbstractTarget):
         for board_name, board in named:
             if not isinstance(board, AbstractBoard):
                 raise InputError(
-                    f'The board "{board_name}" is a set itself: give its boards singly.'
+                    f'The board "{board_name}" is itself a set of boards: give each board of that '
+                    "set separately."
                 )
         self.names = tuple(board_name for board_name, _ in named)
         self.boards = tuple(board for _, board in named if isinstance(board, AbstractBoard))
@@ -63,16 +64,18 @@ class BoardSet(AbstractTarget):
 
     def __check_init__(self) -> None:
         if not self.boards:
-            raise InputError("A set of boards needs at least one board: give it.")
+            raise InputError("A set of boards needs at least one board: give one.")
         for name in self.names:
             if self.names.count(name) > 1:
-                raise InputError(f'Two boards are called "{name}": give each a name of its own.')
+                raise InputError(
+                    f'Two boards have the name "{name}": give each board its own name.'
+                )
         members = zip(self.names, self.boards, strict=True)
         for (first, board), (second, other) in combinations(members, 2):
             likeness = board.marks.likeness_to(other.marks)
             if likeness is not None:
                 raise InputError(
-                    f'The boards "{first}" and "{second}" look alike in view: {likeness}.'
+                    f'The boards "{first}" and "{second}" look alike in an image: {likeness}.'
                 )
 
     @property

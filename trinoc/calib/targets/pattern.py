@@ -135,7 +135,9 @@ class Pattern(Displayable, AbstractBoard):
             line_half_length_mm = (0.5 * pitch_mm * (columns + 0.5), 0.5 * pitch_mm * (rows + 0.5))
         halves = real_array(line_half_length_mm, "line_half_length_mm")
         if halves.shape != (2,):
-            raise InputError(f"line_half_length_mm is {line_half_length_mm}: give (x, y).")
+            raise InputError(
+                f"line_half_length_mm is {line_half_length_mm}: give two lengths (x, y)."
+            )
         half_x_mm, half_y_mm = halves
         row, column = np.divmod(np.arange(rows * columns), columns)
         lattice = np.stack([column, rows - 1 - row], axis=1)
@@ -240,7 +242,10 @@ class Pattern(Displayable, AbstractBoard):
 
         An image cannot distinguish two sheets of circles.
         """
-        likeness = "both are sheets of circles, and a set may have one; use other boards"
+        likeness = (
+            "both are sheets of circles, but a set may contain only one such sheet; use other "
+            "boards"
+        )
         return Marks("circles", range(1), likeness)
 
     def drawing(self) -> list[Disc | Polygon]:

@@ -51,7 +51,7 @@ def ring_code(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
 def _ring_code(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
     if rows * columns > _MOST_CIRCLES:
         raise InputError(
-            f"A ring code for {rows} x {columns} circles is not computed: use at most "
+            f"A ring code for {rows} x {columns} circles is not available: use at most "
             f"{_MOST_CIRCLES} circles, or give `rings=` in Python."
         )
     if min(rows, columns) < 3:

@@ -183,7 +183,9 @@ def _camera_covariance(
 
 def _expect_covariance(rig: Rig) -> None:
     if not rig.parameters:
-        raise InputError("This rig has no covariance: calibrate it, or load one that has.")
+        raise InputError(
+            "This rig has no covariance: calibrate the rig, or load a rig that has a covariance."
+        )
 
 
 def _projections(

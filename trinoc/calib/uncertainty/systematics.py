@@ -207,7 +207,8 @@ def _check_covariance(
     if not (np.isfinite(matrix).all() and (np.diag(matrix) >= 0).all()):
         raise InputError(
             f"The lens covariance {whose} has values that are not finite or a negative variance: "
-            "take the images that `trinoc intrinsics` asks for."
+            "calibrate the lens again with the additional images that `trinoc intrinsics` "
+            "recommends."
         )
     return matrix
 

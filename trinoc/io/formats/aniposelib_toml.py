@@ -81,7 +81,9 @@ def read_anipose(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     """Read one camera from each TOML table of the file except `[metadata]`."""
     document = read_toml(path)
     if "cameras" in document.values:
-        raise document.error("cameras", "is Caliscope's: import the file from caliscope.")
+        raise document.error(
+            "cameras", "is a key of Caliscope: import the file with the format caliscope."
+        )
     tables = {
         key: document.block(key)
         for key, value in document.values.items()
@@ -120,16 +122,19 @@ def _to_table(camera: Camera, name: str, title: str, unit_mm: float) -> dict[str
 
 def _read_cameras(tables: dict[str, Block], path: Path, unit_mm: float) -> Rig:
     if not tables:
-        raise InputError(f"{path} has no table of a camera: give a file of calibration.")
+        raise InputError(f"{path} has no table of a camera: give a calibration file.")
     cameras: dict[str, Camera] = {}
     for key, table in tables.items():
         block = KEYS.take(table)
         name = block.text("name") if "name" in block.values else key
         if name in cameras:
-            raise block.error("name", f'is "{name}" as of a camera before it: rename one.')
+            raise block.error(
+                "name",
+                f'is "{name}", the name of an earlier camera: rename one of the two cameras.',
+            )
         if "matrix" not in block.values:
             raise block.error(
-                "matrix", "is missing: leave tables of cameras alone, and metadata, in the file."
+                "matrix", "is missing: keep only the tables of cameras, and metadata, in the file."
             )
         fisheye = block.values.get("fisheye", False)
         if not isinstance(fisheye, bool):
@@ -137,7 +142,7 @@ def _read_cameras(tables: dict[str, Block], path: Path, unit_mm: float) -> Rig:
         for missing in ("rotation", "translation"):
             if block.values.get(missing, "null") == "null":
                 raise block.error(
-                    missing, "is missing: calibrate all cameras together, or remove this."
+                    missing, "is missing: calibrate all cameras together, or remove this camera."
                 )
         lens = read_opencv_lens(
             block,
@@ -175,7 +180,8 @@ def read_toml(path: Path) -> Block:
 def _parse_toml(text: str) -> dict[str, Any]:
     if _TOO_DEEP.search(text):
         raise RefusedError(
-            f"is nested more than {MOST_NESTED} deep, which no such file is: give another file."
+            f"is nested more than {MOST_NESTED} deep, which is not possible in a valid file: give "
+            "another file."
         )
     return _without_dates(tomllib.loads(text))
 

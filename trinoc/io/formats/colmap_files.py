@@ -133,9 +133,9 @@ def text_records(folder: Path) -> ColmapRecords:
             number, size = int(fields[0]), (int(fields[2]), int(fields[3]))
             camera = ColmapCamera(fields[1], size, [float(word) for word in fields[4:]])
         except (ValueError, IndexError) as error:
-            raise InputError(f"{where} is no camera of COLMAP: correct it.") from error
+            raise InputError(f"{where} is not a camera of COLMAP: correct this line.") from error
         if number in cameras:
-            raise InputError(f"{where} has the camera {number} again: remove one.")
+            raise InputError(f"{where} repeats the camera {number}: remove one of the two.")
         cameras[number] = camera
     images: list[ColmapImage] = []
     # Below each image stands a line of its points, which programs leave out where there are none.
@@ -153,7 +153,7 @@ def text_records(folder: Path) -> ColmapRecords:
             name = " ".join([fields[9], *fields[10:]])
             images.append(ColmapImage(number, numbers[:4], numbers[4:], camera, name))
         except (ValueError, IndexError) as error:
-            raise InputError(f"{where} is no image of COLMAP: correct it.") from error
+            raise InputError(f"{where} is not an image of COLMAP: correct this line.") from error
         may_be_points = True
     return ColmapRecords(cameras, images)
 
@@ -240,7 +240,7 @@ def binary_records(folder: Path) -> ColmapRecords:
         number, model, width, height = reader.take("<IiQQ")
         if model not in names or number in cameras:
             raise reader.damage_error(
-                f"camera {number} is there twice, or of the unknown model {model}"
+                f"camera {number} occurs twice, or has the unknown model {model}"
             )
         name, count = names[model]
         cameras[number] = ColmapCamera(name, (width, height), list(reader.take(f"<{count}d")))
@@ -269,7 +269,7 @@ class _Reader:
     def skip(self, size: int) -> None:
         """Advance the position by `size` bytes."""
         if self.place + size > len(self.content):
-            raise self.damage_error("it ends too early")
+            raise self.damage_error("the file ends too early")
         self.place += size
 
     def text(self) -> str:
@@ -280,10 +280,12 @@ class _Reader:
         try:
             text = self.content[self.place : end].decode("utf-8")
         except UnicodeDecodeError as error:
-            raise self.damage_error("a name is no text") from error
+            raise self.damage_error("a name is not valid text") from error
         self.place = end + 1
         return text
 
     def damage_error(self, why: str) -> InputError:
         """Return the `InputError` for a damaged file; `why` is the reason."""
-        return InputError(f"{self.file} is no file of COLMAP, or damaged ({why}): write it again.")
+        return InputError(
+            f"{self.file} is not a file of COLMAP, or is damaged ({why}): write the file again."
+        )

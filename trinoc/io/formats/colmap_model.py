@@ -65,8 +65,8 @@ def write_text_model(rig: Rig, path: Path, unit_mm: float) -> None:
     for name in rig:
         if any(letter.isspace() for letter in name):
             raise InputError(
-                f'The camera "{name}" has a blank in its name, which cuts it in COLMAP\'s text: '
-                "rename it, or write the binary files (--to colmap)."
+                f'The name of the camera "{name}" contains a blank, which separates values in '
+                "COLMAP's text files: rename the camera, or write the binary files (--to colmap)."
             )
     files = text_files(_records(rig, unit_mm))
     _write(path, {name: text.encode("utf-8") for name, text in files.items()})
@@ -90,9 +90,11 @@ def read_colmap(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     for image in records.images:
         where = f'{path}: the image "{image.name}"'
         if image.name in cameras:
-            raise InputError(f"{where} is there twice: keep one of them.")
+            raise InputError(f"{where} occurs twice: keep one of the two.")
         if image.camera not in read:
-            raise InputError(f"{where} is of camera {image.camera}, which is missing: add it.")
+            raise InputError(
+                f"{where} belongs to camera {image.camera}, which is missing: add this camera."
+            )
         if not np.isfinite([*image.wxyz, *image.translation]).all():
             raise InputError(f"{where} has a pose that is not finite: remove the image.")
         rotation = rotation_of_quaternion(np.array(image.wxyz), where)

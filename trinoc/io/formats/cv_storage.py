@@ -58,13 +58,13 @@ _DISTORTION_KEYS = (
 _WIDTH_KEYS = ("image_width", "image_Width")
 _HEIGHT_KEYS = ("image_height", "image_Height")
 _NO_MIRROR = (
-    "it is the mirror parameter of cv2.omnidir's unified model, which is none of trinoc's lenses: "
+    "it is the mirror parameter of cv2.omnidir's unified model, which trinoc does not support: "
     "calibrate with cv2.fisheye"
 )
 _REFUSED = {
     **{key: Refused(_NO_MIRROR, (0, [[0]])) for key in ("xi", "xi1", "xi2", "Xi")},
     **{
-        key: Refused("trinoc's lenses have none: calibrate without it", (0, [[0]]))
+        key: Refused("trinoc does not support this parameter: calibrate without it", (0, [[0]]))
         for key in ("alpha", "skew")
     },
 }
@@ -134,7 +134,7 @@ def read_opencv(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig | Intr
             return _pair(PAIR_KEYS.take(document), keys, unit_mm)
     if not any(key in document.values for key in _MATRIX_KEYS):
         raise document.error(
-            "camera_matrix", "is missing, and so are cameras and M1: give a file of calibration."
+            "camera_matrix", "is missing, and so are cameras and M1: give a calibration file."
         )
     return _lens_from_map(LENS_KEYS.take(document))
 
@@ -188,7 +188,10 @@ def _list_cameras(document: Block, unit_mm: float) -> Rig:
         block = LENS_KEYS.take(Block(block.values, document.file, f"cameras[{number}]"))
         name = block.text("name")
         if name in cameras:
-            raise block.error("name", f'is "{name}" as of a camera before it: rename one.')
+            raise block.error(
+                "name",
+                f'is "{name}", the name of an earlier camera: rename one of the two cameras.',
+            )
         lens = _lens_from_map(block)
         cameras[name] = Camera(lens, Pose(_pose(block, unit_mm)))
     parameters, covariance = parse_covariance(document, cameras)
@@ -258,7 +261,9 @@ def _called(block: Block) -> str:
             named[key] = _LENS_WORDS[word.lower()]
     if len(set(named.values())) > 1:
         first, second = list(named)[:2]
-        raise block.error(second, f"is of another lens than {first} says: correct one of them.")
+        raise block.error(
+            second, f"belongs to another lens model than {first}: correct one of the two."
+        )
     return next(iter(named.values()), "")
 
 

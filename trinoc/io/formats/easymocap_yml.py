@@ -47,8 +47,8 @@ def write_easymocap(rig: Rig, path: Path, unit_mm: float) -> None:
     for name, camera in rig.items():
         if not re.fullmatch(r"[A-Za-z0-9_-]+", name) or name == NO_CAMERA:
             raise InputError(
-                f'The camera "{name}" is part of keys in {TITLE}: rename it with letters, digits, '
-                f'_ and - alone, and not "{NO_CAMERA}".'
+                f'The name of the camera "{name}" becomes a part of keys in {TITLE}: rename the '
+                f'camera with letters, digits, _ and - only, and not "{NO_CAMERA}".'
             )
         numbers = list_lens_numbers(camera.intrinsics, WRITTEN[:1], TITLE, name)
         pose = np.asarray(camera.cam_from_world)

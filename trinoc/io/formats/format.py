@@ -33,12 +33,12 @@ TRACKS = "tracks"
 DETAILS = "details"
 LOSSES = {
     COVARIANCE: "the covariance",
-    PIXEL_PITCH: "the size of a pixel, and with it the focal length in mm",
-    WORLD: "where the world is: the first camera becomes its origin",
+    PIXEL_PITCH: "the size of a pixel, and therefore the focal length in mm",
+    WORLD: "the world frame: the first camera becomes its origin",
     LENSES: "the lenses",
     NAMES: "the names of the cameras",
     ORDER: "the order of the cameras: files are read in the order of their names",
-    TRACKS: "the fragments in the pictures, and which segments they are of",
+    TRACKS: "the fragments in the pictures, and the segments that they belong to",
     DETAILS: "polarity, contrast, junctions and chains",
 }
 
@@ -176,7 +176,9 @@ class Format:
             names |= {each.KIND: each.IN_WORDS for each in (Matches, Segments, *FEATURES)}
             actual = names.get(kind, f"a {type(value).__name__}")
             accepted = " or ".join(names[kind] for kind in self.kinds)
-            raise InputError(f"{self.title} holds {accepted}, not {actual}: choose another format.")
+            raise InputError(
+                f"{self.title} can contain {accepted}, not {actual}: choose another format."
+            )
         target = Path(path)
         if self.place == "folder" or (kind == "rig" and "folder" in self.place):
             expect_new_folder(target)
@@ -253,11 +255,10 @@ class Format:
         if not 0 < unit_mm < float("inf"):
             raise InputError(f"unit_mm is {unit_mm}, but must be the length of a unit in mm.")
         if self.unit_mm is None:
-            raise InputError(f"{self.title} holds no lengths: leave unit_mm out.")
+            raise InputError(f"{self.title} contains no lengths: omit unit_mm.")
         if self.unit_is_fixed and unit_mm != self.unit_mm:
             raise InputError(
-                f"{self.title} counts in units of {self.unit_mm:g} mm by its own definition: leave "
-                "unit_mm out."
+                f"{self.title} has units of {self.unit_mm:g} mm by definition: omit unit_mm."
             )
         return unit_mm
 
@@ -265,7 +266,7 @@ class Format:
 def expect_new_folder(target: Path) -> None:
     """Raise `InputError` unless `target` is an empty or new folder in an existing folder."""
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        raise InputError(f"{target} is there already: give the name of a new folder.")
+        raise InputError(f"{target} exists already: give the name of a new folder.")
     if not target.absolute().parent.is_dir():
         raise InputError(f"The folder {target.parent} does not exist: create it first.")
 
@@ -312,7 +313,10 @@ def _expect_writable(value: object, target: Path) -> None:
             return
     for name in names:
         if not is_camera_name(name):
-            raise InputError(f"The camera {name!r} has no name that a text file can hold.")
+            raise InputError(
+                f"The name of the camera {name!r} cannot be written to a text file: rename the "
+                "camera."
+            )
     numbers += [array for lens in lenses for array in (lens.lens.parameters, lens.skew_px)]
     if not all(np.isfinite(np.asarray(array)).all() for array in numbers):
         raise InputError(
@@ -325,7 +329,7 @@ def _expect_writable(value: object, target: Path) -> None:
 
 def _rename_cameras(value: object, names: tuple[str, ...], source: Path) -> Rig:
     if not isinstance(value, Rig):
-        raise InputError(f"{source} holds no cameras with names: leave the names out.")
+        raise InputError(f"{source} contains no cameras with names: omit the names.")
     if len(names) != len(value) or len(set(names)) < len(names) or not all(names):
         raise InputError(
             f"{source} holds {len(value)} cameras ({list_names(value)}): give as many "

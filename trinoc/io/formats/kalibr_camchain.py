@@ -42,8 +42,8 @@ KEYS = Keys(
     ),
     refused={
         "line_delay": Refused(
-            "rows are taken one after the other, which trinoc does not model: take pictures with a "
-            "global shutter",
+            "the rows are exposed one after the other (rolling shutter), which trinoc does not "
+            "model: take pictures with a global shutter",
             (0,),
         )
     },
@@ -89,7 +89,9 @@ def read_kalibr(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     blocks = []
     for number, name in enumerate(key for key in document.values if not _PAIR.fullmatch(key)):
         if name != f"cam{number}":
-            raise document.error(name, f"stands where cam{number} belongs: order the cameras.")
+            raise document.error(
+                name, f"is at the position of cam{number}: order the cameras by number."
+            )
         blocks.append(KEYS.take(document.block(name)))
     poses = _poses(blocks, unit_mm)
     _expect_pairs(document, poses, unit_mm)
@@ -122,7 +124,7 @@ def _poses(blocks: list[Block], unit_mm: float) -> list[np.ndarray]:
         pose = chain_motions(_motion(block, "T_cn_cnm1", unit_mm), poses[-1])
         if imu_pose is not None and not _is_same(pose, imu_pose):
             raise block.error(
-                "T_cam_imu", "has the camera elsewhere than T_cn_cnm1: remove the wrong one."
+                "T_cam_imu", "contradicts T_cn_cnm1: remove the wrong one of the two."
             )
         poses.append(pose)
     return poses
@@ -143,7 +145,7 @@ def _expect_pairs(document: Block, poses: list[np.ndarray], unit_mm: float) -> N
             stated, chain_motions(poses[second], inverse(poses[first]))
         ):
             raise document.error(
-                key, "has a camera elsewhere than the chain: remove the wrong one."
+                key, "contradicts the chain of poses: remove the wrong one of the two."
             )
 
 

@@ -75,8 +75,9 @@ class Keys(NamedTuple):
                     key,
                     f'is an unknown key: did you mean "{close_keys[0]}"?'
                     if close_keys and close_keys[0] not in block.values
-                    else "may change where points are imaged, and trinoc does not read it here: "
-                    "remove it if it changes nothing, or convert the camera to a model without it.",
+                    else "may change the projection of points, and trinoc does not read this key: "
+                    "remove the key if it has no effect, or convert the camera to a model "
+                    "without it.",
                 )
         read = {key: value for key, value in block.values.items() if key in self.read}
         return Block(read, block.file, block.place)

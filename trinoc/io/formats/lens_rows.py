@@ -105,8 +105,8 @@ def list_lens_numbers(
     who = f'The lens of "{camera}"' if camera else "The lens"
     if not skew and abs(float(lens.skew_px)) > NEGLIGIBLE_SKEW_PX:
         raise InputError(
-            f"{who} has a skew of {float(lens.skew_px):g} px, which {title} cannot hold: export to "
-            "matlab, which can."
+            f"{who} has a skew of {float(lens.skew_px):g} px, which {title} cannot contain: export "
+            "to matlab, which supports skew."
         )
     values = dict(
         zip(
@@ -123,10 +123,12 @@ def list_lens_numbers(
         advice = "choose another"
         if isinstance(lens.lens, AbstractSplinedLens):
             advice = (
-                "no other tool's format holds these splines; calibrate it with "
-                f"{lens.lens.core_model.model} for that"
+                "the formats of other tools cannot contain splines; to export this camera, "
+                f"calibrate with the lens model {lens.lens.core_model.model}"
             )
-        raise InputError(f"{who} is {lens.lens.model}, which {title} cannot hold: {advice}.")
+        raise InputError(
+            f"{who} has the lens model {lens.lens.model}, which {title} cannot contain: {advice}."
+        )
     for row in fitting:
         unsupported = [
             name for name, value in values.items() if value and name not in row.coefficients
@@ -135,8 +137,8 @@ def list_lens_numbers(
             break
     else:
         raise InputError(
-            f"{who} has {unsupported[0]} = {values[unsupported[0]]:g}, which {title} cannot hold: "
-            "choose another format, or calibrate the lens without it."
+            f"{who} has {unsupported[0]} = {values[unsupported[0]]:g}, which {title} cannot "
+            "contain: choose another format, or calibrate the lens without this parameter."
         )
     focal, centre = np.asarray(lens.focal_length_px), np.asarray(lens.principal_point_px)
     return LensNumbers(

@@ -36,7 +36,9 @@ def write_gltf(value: Matches | Feature, path: Path, unit_mm: float) -> None:
     mesh.
     """
     if len(value) == 0:
-        raise InputError(f"{path} was not written: there is no 3-D segment, and glTF needs one.")
+        raise InputError(
+            f"{path} was not written: there is no 3-D segment, and glTF needs at least one."
+        )
     wires = value.wires()
     x, y, z = (wires.points_mm[wires.pairs.reshape(-1)] / unit_mm).T
     vertices = np.stack([x, z, -y], axis=1).astype("<f4")

@@ -22,7 +22,9 @@ def mat_variables(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     content = read_bytes(path)
     if content[:20].startswith(b"MATLAB 7.3") or content.startswith(b"\x89HDF"):
-        raise InputError(f"{path} is of MATLAB 7.3, another format: save it with -v7.")
+        raise InputError(
+            f"{path} is a file of MATLAB 7.3, which trinoc does not read: save the data with -v7."
+        )
     if len(content) < _HEADER_BYTES or content[126:128] not in _ENDIAN_MARKS:
         raise InputError(f"{path} is no .mat file that trinoc reads: save it with -v7.")
     return read_in_child(f"{__name__}:read_variables", content, path)
@@ -35,7 +37,7 @@ def read_variables(content: bytes) -> dict[str, Any]:
     variables = scipy.io.loadmat(io.BytesIO(content))
     named = {name: value for name, value in variables.items() if not name.startswith("__")}
     if sum(map(_count_bytes, named.values())) > MOST_BYTES:
-        raise DamagedError("it unpacks to more than any calibration")
+        raise DamagedError("the file unpacks to more than any calibration")
     return {name: _json_value(value) for name, value in named.items()}
 
 

@@ -53,7 +53,9 @@ LENS_KEYS = Keys(
         "Skew",
     ),
     refused={
-        key: Refused("trinoc has no fisheye of Scaramuzza's model: calibrate with another")
+        key: Refused(
+            "trinoc does not support Scaramuzza's fisheye model: calibrate with another model"
+        )
         for key in ("MappingCoefficients", "StretchMatrix")
     },
 )
@@ -69,7 +71,7 @@ def write_matlab(rig: Rig, path: Path, unit_mm: float) -> None:
     Translations are in units of `unit_mm`. Raise `InputError` for a rig of one camera.
     """
     if len(rig) < 2:
-        raise InputError(f"{TITLE} is of two cameras: give a rig of two or more.")
+        raise InputError(f"{TITLE} is for two cameras: give a rig of two or more.")
     unit = next((name for name, mm in UNITS_MM.items() if mm == unit_mm), f"{unit_mm!r} mm")
     lenses = [_to_struct(camera.intrinsics, name, unit) for name, camera in rig.items()]
     poses = [np.asarray(camera.cam_from_world) for camera in rig.cameras]
@@ -174,10 +176,10 @@ def _stated_unit_mm(lens: Block, unit_mm: float | None) -> float:
             length_mm = float(number)
             file_unit_mm = length_mm if 0 < length_mm < float("inf") else None
     if file_unit_mm is None and unit_mm is None:
-        raise lens.error("WorldUnits", f'is "{name}": say how long that is by --unit-mm.')
+        raise lens.error("WorldUnits", f'is "{name}": give the length of this unit with --unit-mm.')
     if file_unit_mm is not None and unit_mm is not None and unit_mm != file_unit_mm:
         raise lens.error(
-            "WorldUnits", f'is "{name}", but --unit-mm is {unit_mm:g}: leave --unit-mm out.'
+            "WorldUnits", f'is "{name}", but --unit-mm is {unit_mm:g}: omit --unit-mm.'
         )
     return file_unit_mm or unit_mm or 1.0
 

@@ -69,13 +69,14 @@ def read_mc_calib(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     if not keys or count != len(keys) or set(keys) != expected:
         raise document.error(
             "nb_camera",
-            f"is {count:g}, but the file has {', '.join(keys) or 'no camera'}: MC-Calib writes one "
-            "group of cameras alone; take pictures that join all.",
+            f"is {count:g}, but the file has {', '.join(keys) or 'no camera'}: MC-Calib wrote one "
+            "group of cameras only. Take pictures that connect all cameras.",
         )
     blocks = [KEYS.take(document.block(f"camera_{number}")) for number in range(len(keys))]
     if len({str(block.values.get("camera_group")) for block in blocks}) > 1:
         raise blocks[0].error(
-            "camera_group", "is another than of a camera below: take pictures that join all."
+            "camera_group",
+            "differs from the value of a camera below: take pictures that connect all cameras.",
         )
     cameras = {}
     for block in blocks:
@@ -94,7 +95,7 @@ def _lens(block: Block) -> Intrinsics:
     model_name = f"{block.number('distortion_type'):g}"
     if model_name not in (row.called for row in ROWS):
         raise block.error(
-            "distortion_type", f"is {model_name}, but trinoc reads 0, Brown's, and 1, Kannala's."
+            "distortion_type", f"is {model_name}, but trinoc reads only 0 (Brown) and 1 (Kannala)."
         )
     sides = [block.number("img_width"), block.number("img_height")]
     numbers = LensNumbers(

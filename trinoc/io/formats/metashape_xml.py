@@ -34,15 +34,15 @@ ROWS = (
     LensRow("frame", "brown_conrady", ("k1", "k2", "k3", "k4", "p2", "p1", "p3", "p4")),
     LensRow("fisheye", "kannala_brandt", COEFFICIENTS),
 )
-_OLD = Refused("it is of PhotoScan's first files: export the cameras again with Metashape")
+_OLD = Refused("the file is of PhotoScan's first versions: export the cameras again with Metashape")
 _SHUTTER = Refused(
-    "rows are taken one after the other, which trinoc does not model: take pictures with a global "
-    "shutter, or align without it",
+    "the rows are exposed one after the other (rolling shutter), which trinoc does not model: take "
+    "pictures with a global shutter, or align without this correction",
     ("0", "false", "none", "disabled", ""),
 )
 _HANGS = Refused(
-    "the camera hangs on another in a rig of sensors, which trinoc does not follow: export the "
-    "cameras without one"
+    "the pose of the camera is relative to another camera in a rig of sensors, which trinoc does "
+    "not read: export the cameras without such a rig"
 )
 LENS_KEYS = Keys(
     read=("type", "width", "height", "f", "cx", "cy", "b1", "b2", *COEFFICIENTS),
@@ -54,7 +54,7 @@ SENSOR_KEYS = Keys(
     refused={
         "rolling_shutter": _SHUTTER,
         "master_id": _HANGS,
-        "film_camera": Refused("trinoc reads no marks of a film", ("0", "false")),
+        "film_camera": Refused("trinoc does not read fiducial marks of a film", ("0", "false")),
     },
 )
 CAMERA_KEYS = Keys(
@@ -82,13 +82,17 @@ def read_metashape(path: Path, unit_mm: float | None, lenses: Lenses | None) -> 
         raise InputError(f"{path} has no aligned camera: align the pictures first.")
     frames = {block.values.get("component_id") for block in aligned}
     if len(frames) > 1 and any(_motion_of(components.get(key)) is None for key in frames):
-        raise InputError(f"{path} has components that no motion joins: align them as one.")
+        raise InputError(
+            f"{path} has components without a common frame: align all pictures in one component."
+        )
     lens_of: dict[str | None, Intrinsics] = {}
     cameras: dict[str, Camera] = {}
     for block in aligned:
         name, sensor = block.text("label"), block.values.get("sensor_id")
         if name in cameras:
-            raise block.error("label", "is of a camera before it: rename one.")
+            raise block.error(
+                "label", "is the name of an earlier camera: rename one of the two cameras."
+            )
         if sensor not in lens_of:
             lens_of[sensor] = _lens(sensors.get(sensor), path, f"sensor[{sensor}]")
         frame = _motion_of(components.get(block.values.get("component_id")))
@@ -174,8 +178,8 @@ def _pose(block: Block, frame: ElementTree.Element | None, unit_mm: float | None
     where = f'{block.file}: the camera "{block.place}"'
     if frame is None and unit_mm is None:
         raise InputError(
-            f"{block.file} has no motion of the chunk, and so no unit: scale the chunk by known "
-            "lengths, or say by --unit-mm how long its unit is."
+            f"{block.file} has no transform of the chunk, so the unit is unknown: scale the chunk "
+            "with known lengths, or give the length of its unit with --unit-mm."
         )
     matrix = _numbers(block, "transform", 16).reshape(4, 4)
     if frame is None:

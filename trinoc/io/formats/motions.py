@@ -21,7 +21,7 @@ def motion(
     Raise `InputError` if the matrix is not a rotation. `where` begins the message: file and key.
     """
     if not np.abs(translation_mm).max() < FARTHEST_MM:
-        raise InputError(f"{where} is beside a translation beyond all bounds: correct it.")
+        raise InputError(f"{where} has a translation that is too large: correct it.")
     return np.concatenate([checked_rotation(rotation, where), translation_mm[:, None]], axis=1)
 
 

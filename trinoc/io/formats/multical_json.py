@@ -47,8 +47,8 @@ def write_multical(rig: Rig, path: Path, unit_mm: float) -> None:
     for name, camera in rig.items():
         if TO in name:
             raise InputError(
-                f'The camera "{name}" has "{TO}" in its name, which is a pair in {TITLE}: '
-                "rename it."
+                f'The name of the camera "{name}" contains "{TO}", which marks a pair of cameras '
+                f"in {TITLE}: rename the camera."
             )
         numbers = list_lens_numbers(camera.intrinsics, WRITTEN[:-1], TITLE, name)
         pose = np.asarray(camera.cam_from_world)
@@ -97,10 +97,10 @@ def _poses(document: Block, unit_mm: float) -> dict[str, np.ndarray]:
         origin = from_world.get(first)
         if origin is None or not np.array_equal(origin, np.eye(3, 4)):
             raise document.error(
-                key, f'needs the pose of "{first}", without turn or shift: export with one master.'
+                key, f'must contain the identity as the pose of "{first}": export with one master.'
             )
         if name in from_world:
-            raise document.error(key, f'is a second pose of "{name}": remove one.')
+            raise document.error(key, f'is a second pose of "{name}": remove one of the two.')
         from_world[name] = matrix
     return from_world
 

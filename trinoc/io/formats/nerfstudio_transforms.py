@@ -44,7 +44,7 @@ READ = (
     *(LensRow(name, "brown_conrady", COEFFICIENTS) for name in _PERSPECTIVE),
     _FISHEYE_ROW,
 )
-_NO_SUCH_LENS = "no lens of trinoc is like that: convert the pictures to a perspective camera first"
+_NO_SUCH_LENS = "trinoc has no such lens model: convert the pictures to a perspective camera first"
 KEYS = Keys(
     read=(
         *("file_path", "transform_matrix", "camera_model", "is_fisheye"),
@@ -58,8 +58,8 @@ KEYS = Keys(
     ),
     refused={
         "rolling_shutter": Refused(
-            "rows are taken one after the other, which trinoc does not model: take pictures with "
-            "a global shutter, or with the camera at rest",
+            "the rows are exposed one after the other (rolling shutter), which trinoc does not "
+            "model: take pictures with a global shutter, or with the camera at rest",
             ([0, 0, 0, 0], [0, 0, 0], False),
         ),
         "equirectangular": Refused(_NO_SUCH_LENS, (False,)),
@@ -121,7 +121,10 @@ def read_nerfstudio(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     for number, (block, picture) in enumerate(zip(blocks, pictures, strict=True)):
         name = picture.stem if stems_differ else str(picture.with_suffix(""))
         if not picture.stem or name in cameras:
-            raise block.error("file_path", "names no picture, or one before it: correct it.")
+            raise block.error(
+                "file_path",
+                "is not the name of a picture, or repeats an earlier one: correct this name.",
+            )
         matrix = block.numbers("transform_matrix", (4, 4)) @ FLIP
         where = f'{document.file}: "frames[{number}].transform_matrix"'
         world_from_cam = from_homogeneous(matrix, unit_mm, where)
@@ -144,7 +147,8 @@ def _lens(block: Block) -> Intrinsics:
     if "distortion_params" in block.values:
         if coefficients:
             raise block.error(
-                "distortion_params", "stands beside k1 or another of its numbers: remove either."
+                "distortion_params",
+                "is given in addition to k1 or another single coefficient: remove one of the two.",
             )
         values = block.numbers("distortion_params", (len(COEFFICIENTS),)).tolist()
         coefficients = dict(zip(COEFFICIENTS, values, strict=True))
@@ -172,7 +176,7 @@ def _called(block: Block) -> str:
         return model_name or "OPENCV"
     if model_name not in ("", FISHEYE):
         raise block.error(
-            "is_fisheye", f"is true beside the camera_model {model_name}: correct one."
+            "is_fisheye", f"is true, but camera_model is {model_name}: correct one of the two."
         )
     return FISHEYE
 

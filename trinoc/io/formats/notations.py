@@ -94,8 +94,8 @@ def read_yaml(path: str | os.PathLike[str]) -> Block:
     for number, other in enumerate(others, 2):
         if {**other.values, "header": None} != {**first.values, "header": None}:
             raise InputError(
-                f"{path} holds {1 + len(others)} documents, and document {number} differs from the "
-                "first: keep the one that is meant."
+                f"{path} contains {1 + len(others)} documents, and document {number} differs from "
+                "the first: keep one document."
             )
     return first
 

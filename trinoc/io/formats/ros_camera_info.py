@@ -40,8 +40,8 @@ POSES = "tf_static.yaml"
 _PLUMB_BOB = ("k1", "k2", "p1", "p2", "k3")
 _RATIONAL = (*_PLUMB_BOB, "k4", "k5", "k6")
 _BINNED = Refused(
-    "the pictures are binned, and the lens is that of the whole sensor: calibrate in the mode that "
-    "is used, or deliver pictures without binning",
+    "the pictures are binned, but the lens is calibrated for the whole sensor: calibrate in the "
+    "mode that is used, or take pictures without binning",
     (0, 1),
 )
 FILE_KEYS = Keys(
@@ -59,7 +59,7 @@ ROI_KEYS = Keys(
     read=("x_offset", "y_offset", "width", "height"),
     refused={
         "do_rectify": Refused(
-            "the message is of rectified pictures, but its lens is that of those before: give the "
+            "the message is for rectified pictures, but its lens is for the raw pictures: give the "
             "camera_info of the raw pictures",
             (False, 0),
         )
@@ -209,8 +209,8 @@ def _expect_whole_picture(roi: Block, size: list[float]) -> None:
     if part not in ([0.0, 0.0, 0.0, 0.0], [0.0, 0.0, *size]):
         raise InputError(
             f'{roi.file}: "roi" is a part of the picture ({part[2]:g} x {part[3]:g} at '
-            f"{part[0]:g}, {part[1]:g}): deliver whole pictures, or calibrate those that are "
-            "delivered."
+            f"{part[0]:g}, {part[1]:g}): use whole pictures, or calibrate with pictures of this "
+            "part."
         )
 
 
@@ -225,9 +225,7 @@ def _rectified_rig(infos: dict[str, _Info], path: Path) -> Rig:
     for name, info in infos.items():
         fx, fy = info.projection[0, 0], info.projection[1, 1]
         if not (fx > 0 and fy > 0 and info.projection[2].tolist() == [0, 0, 1, 0]):
-            raise InputError(
-                f"{path / name}.yaml has a projection_matrix that is none: correct it."
-            )
+            raise InputError(f"{path / name}.yaml has an invalid projection_matrix: correct it.")
         shift = [info.projection[0, 3] / fx, info.projection[1, 3] / fy, 0.0]
         shifts_mm[name] = np.array(shift) * METRE_MM
     if len(names) < 2 or not any(shift.any() for shift in shifts_mm.values()):

@@ -57,19 +57,20 @@ def expect_file_names(names: Iterable[str], title: str) -> None:
     for name in names:
         if not re.fullmatch(r'[^/\\:*?"<>|]+', name) or name.strip(". ") != name:
             raise InputError(
-                f'The camera "{name}" names a file in {title}: rename it without / \\ : * ? " < > '
-                "| and without dots and blanks at its ends."
+                f'The name of the camera "{name}" becomes a file name in {title}: rename the '
+                'camera without / \\ : * ? " < > | and without dots and blanks at the ends of the '
+                "name."
             )
         if len(name.encode("utf-8")) > LONGEST_CAMERA_NAME:
             raise InputError(
-                f'The camera "{name}" names a file in {title}: rename it with at most '
-                f"{LONGEST_CAMERA_NAME} letters."
+                f'The name of the camera "{name}" becomes a file name in {title}: rename the '
+                f"camera with at most {LONGEST_CAMERA_NAME} letters."
             )
         key = unicodedata.normalize("NFC", name).casefold()
         if key in name_of:
             raise InputError(
-                f'The cameras "{name_of[key]}" and "{name}" name the same file of {title} on '
-                "some systems: rename one of them."
+                f'The names of the cameras "{name_of[key]}" and "{name}" become the same file '
+                f"name in {title} on some systems: rename one of the cameras."
             )
         name_of[key] = name
 

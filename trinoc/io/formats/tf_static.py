@@ -48,7 +48,8 @@ def write_tf(rig: Rig, path: Path, unit_mm: float) -> None:
     for name, camera in rig.items():
         if name == WORLD or any(letter.isspace() or letter == "/" for letter in name):
             raise InputError(
-                f'The camera "{name}" has no name that a frame of TF takes: rename it.'
+                f'The name of the camera "{name}" is not allowed for a frame of TF: rename the '
+                "camera."
             )
         transforms.append(_transform(name, inverse(np.asarray(camera.cam_from_world)), unit_mm))
     if path.suffix.lower() != ".json":
@@ -66,7 +67,7 @@ def read_tf(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     cameras.
     """
     if not lenses:
-        raise InputError(f"{path} holds poses alone: give the lenses, too (--lens rig.json).")
+        raise InputError(f"{path} contains only poses: give the lenses, too (--lens rig.json).")
     is_json = path.suffix.lower() == ".json"
     documents = [read_json(path)] if is_json else read_yaml_stream(path)
     parents = _parents(documents, unit_mm)
@@ -79,13 +80,13 @@ def read_tf(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
             if frame not in parents:
                 break
         else:
-            raise InputError(f"{path}: the frames above {frame} form a ring: correct it.")
+            raise InputError(f"{path}: the parent frames of {frame} form a cycle: correct this.")
         roots.add(frame)
         cameras[name] = Camera(lenses[name], Pose(inverse(world_from_cam)))
     if len(roots) > 1:
         raise InputError(
-            f"{path}: the cameras hang from {list_names(sorted(roots))}, which nothing joins: "
-            "add the transform between them."
+            f"{path}: the frames of the cameras have different roots "
+            f"({list_names(sorted(roots))}): add the transform between these frames."
         )
     return Rig(cameras)
 
@@ -161,7 +162,9 @@ def _parents(documents: list[Block], unit_mm: float) -> dict[str, tuple[str, np.
             )
             if child in in_message or is_repeated:
                 raise block.error(
-                    "child_frame_id", f'is "{child}" as of one before it: remove one.'
+                    "child_frame_id",
+                    f'is "{child}", the child frame of an earlier transform: remove one of the '
+                    "two.",
                 )
             in_message.add(child)
             parents[child] = parent, pose

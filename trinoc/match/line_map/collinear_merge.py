@@ -108,7 +108,7 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
     """
     if matches.fragments_covariance_px2 is None:
         raise InputError(
-            "These matches do not hold the covariance of their fragments, from which lines are "
+            "These matches do not contain the covariance of their fragments, from which lines are "
             "estimated: match the segments again with this version."
         )
     # Sorted by position, so that the result does not depend on the order of the matches.

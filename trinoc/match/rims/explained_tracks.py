@@ -260,8 +260,9 @@ def add_rims(
     )
     if rims.views != views:
         raise InputError(
-            f"The rims are of the views {list_names(rims.views)}, but the matches of "
-            f"{list_names(views)}: find both in the same pictures, the views in one order."
+            f"The rims are of the views {list_names(rims.views)}, but the matches are of the views "
+            f"{list_names(views)}: find rims and matches in the same pictures, with the views in "
+            "one order."
         )
     all_chords = collect_chords(prepare(edge_segments, rig, None), views)
     circles = Circles(rims.centre_mm, rims.normal, rims.radius_mm)

@@ -343,7 +343,7 @@ class Matches(Displayable, Table):
         """
         if self.fragments_covariance_px2 is None:
             raise InputError(
-                "These matches do not hold the covariance of their fragments, which refinement "
+                "These matches do not contain the covariance of their fragments, which refinement "
                 "needs: match the segments again with this version."
             )
         return LineObservations(

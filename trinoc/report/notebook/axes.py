@@ -34,9 +34,11 @@ ARROW_SHARE = 0.09
 
 
 def plot_value(value: object, axes: Any, **options: Any) -> Any:
-    """Draw a value on its axes, new ones where None is given, and return them.
+    """Draw a value with matplotlib, and return the axes.
 
-    Raises InputError where matplotlib is missing.
+    axes : axes to draw on; None for new axes. options : as the value's `plot` takes them.
+
+    Raises InputError if matplotlib is not installed.
     """
     expect_extra("matplotlib", "plot")
     return _plot(value, axes, **options)
@@ -67,7 +69,7 @@ def _in_space(axes: Any) -> Any:
 @_plot.register(Feature)
 @_plot.register(RefineResult)
 def _(value: Any, axes: Any, **options: Any) -> Any:
-    """The report's figure in space, with the cameras of `rig` for features."""
+    """Draw the 3-D figure of the report. Option `rig` : cameras to draw with features."""
     axes = _in_space(axes)
     figure = figure_in_space(value, **options)
     strokes = [
@@ -100,7 +102,7 @@ def _(pattern: Pattern, axes: Any) -> Any:
 def _(
     result: CalibrationResult, axes: Any, *, images: Mapping[str, np.ndarray] | None = None
 ) -> Any:
-    """Residuals of each camera, all to one scale; `axes` is an array of one for each."""
+    """Draw the residuals of each camera at one scale. axes : array with the axes of each camera."""
     if axes is None:
         import matplotlib.pyplot as plt
 
@@ -136,7 +138,10 @@ def _(segments: Segments, axes: Any, *, image: np.ndarray | None = None) -> Any:
 def _picture(
     image: np.ndarray | None, size_px: tuple[int, int] | None, points_px: np.ndarray
 ) -> np.ndarray:
-    """The picture; where there is none, a white one of its size, or that holds the points."""
+    """Return the image, or a white image if it is None.
+
+    size_px : size of the white image; None for the smallest size that contains the points.
+    """
     if image is not None:
         return image
     if size_px is None:
@@ -156,7 +161,9 @@ def _(
     image: np.ndarray | None = None,
     stage: str = TRINOCULAR,
 ) -> Any:
-    """In space, with the cameras of `rig`; or the tracks of one stage on the picture of a view."""
+    """Draw matches in space with the cameras of `rig`, or the tracks of one stage on the image of
+    `view`.
+    """
     if view is None:
         axes = _in_space(axes)
         plot.draw_space(axes, matches, rig)
@@ -170,7 +177,7 @@ def _(
 
 @_plot.register
 def _(frame: Wireframe, axes: Any, *, rig: Rig | None = None) -> Any:
-    """Edges of three views and of two, faces shaded, corners as dots, the cameras of `rig`."""
+    """Draw a wire frame in space: edges by number of views, shaded faces, corners as dots."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     axes = _in_space(axes)

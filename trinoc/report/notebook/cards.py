@@ -36,7 +36,7 @@ Strokes = list[tuple[list[np.ndarray], str]]
 
 
 def make_card(value: object) -> str:
-    """HTML of a value that needs nothing but itself."""
+    """Return the HTML of a value for a notebook: heading, notes, table and a small drawing."""
     table = card_table(value)._replace(look="")
     notes = "".join(f"<p>{escape(note)}</p>" for note in getattr(value, "notes", ()))
     return (
@@ -48,11 +48,13 @@ def make_card(value: object) -> str:
 
 @singledispatch
 def card_table(value: Any) -> ReportTable:
-    """The table of a value: that of the page where it has one, else of its columns."""
+    """Table of a value for its card: the table of the report if it has one, else of its columns."""
     columns = value.named_columns(brief=True) if isinstance(value, Table) else list_columns(value)
     count = len(next(iter(columns.values()), []))
-    shown = ROWS_OF_PARAMETERS if "parameter" in columns else ROWS
-    cells = {name: [_cell_text(item) for item in each[:shown]] for name, each in columns.items()}
+    row_count = ROWS_OF_PARAMETERS if "parameter" in columns else ROWS
+    cells = {
+        name: [_cell_text(item) for item in each[:row_count]] for name, each in columns.items()
+    }
     if "sigma" in cells:
         del cells["sigma"]
         pairs = zip(columns["value"], columns["sigma"], strict=True)
@@ -60,11 +62,14 @@ def card_table(value: Any) -> ReportTable:
     rows = list(zip(*cells.values()))
     if count == 1:
         return ReportTable((), list(zip(cells, rows[0], strict=True)))
-    return _first_rows(ReportTable(tuple(cells), rows), count, shown)
+    return _first_rows(ReportTable(tuple(cells), rows), count, row_count)
 
 
 def _first_rows(table: ReportTable, count: int, shown: int = ROWS) -> ReportTable:
-    """The first of so many rows, with a note on the others."""
+    """First `shown` of the table's rows, with a note on the number of further rows.
+
+    count : number of rows in total.
+    """
     note = f"{count - shown} more rows: to_frame()" if count > shown else ""
     return table._replace(rows=table.rows[:shown], row_attributes=(), note=note)
 
@@ -159,7 +164,10 @@ def _(evaluation: Evaluation) -> str:
 
 
 def small_picture(value: object) -> Strokes:
-    """Lines in the plane, y downward, with their colours: the figure in space from above."""
+    """Lines of a small drawing of a value, with y downward, as (lines, colour) for each layer.
+
+    For values in space, the drawing is a view from above.
+    """
     if isinstance(value, Segments):
         return [(list(np.asarray(value.endpoints_px)), BLUE)]
     if isinstance(value, Evaluation):
@@ -172,18 +180,18 @@ def small_picture(value: object) -> Strokes:
 
 
 def _svg(strokes: Strokes) -> str:
-    """The lines in a square; nothing where there are none."""
+    """SVG of the lines, scaled to a square; "" without lines."""
     points = [part for parts, _ in strokes for part in parts[:MOST_LINES]]
     if not points:
         return ""
-    together = np.concatenate(points)
-    together = together[np.isfinite(together).all(axis=1)]
-    if not len(together):
+    points_px = np.concatenate(points)
+    points_px = points_px[np.isfinite(points_px).all(axis=1)]
+    if not len(points_px):
         return ""
-    low, high = together.min(axis=0), together.max(axis=0)
-    room = 0.05 * max(float(np.max(high - low)), 1e-9)
-    left, top = (low - room).tolist()
-    width, height = (high - low + 2 * room).tolist()
+    low, high = points_px.min(axis=0), points_px.max(axis=0)
+    margin = 0.05 * max(float(np.max(high - low)), 1e-9)
+    left, top = (low - margin).tolist()
+    width, height = (high - low + 2 * margin).tolist()
     step = max(width, height) / 2000
     paths = "".join(
         f'<path fill="none" vector-effect="non-scaling-stroke" stroke-width="1.3" '
@@ -197,7 +205,7 @@ def _svg(strokes: Strokes) -> str:
 
 
 def _path(part: np.ndarray, step: float) -> str:
-    """Coordinates to half a dot of the picture."""
+    """Data of an SVG path for one line, rounded to a fraction of `step`."""
     if not np.isfinite(part).all():
         return ""
     decimals = max(0, round(-np.log10(step)))

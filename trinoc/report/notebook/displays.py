@@ -15,22 +15,24 @@ _HEIGHT_PX = 760
 
 
 class NotebookDisplays:
-    """The displays that `trinoc.numerics.Displayable` calls."""
+    """Displays of values in notebooks, registered with `trinoc.numerics.Displayable`."""
 
     def heading(self, value: Any) -> str:
-        """A line of text; within `jit`, `grad` or `vmap` the numbers are unknown."""
+        """Return a line of text about a value; inside `jit`, `grad` or `vmap`, its numbers are
+        omitted.
+        """
         return "traced" if is_traced(value) else heading(value)
 
     def html(self, value: Any) -> str:
-        """A table and a small picture, as HTML."""
+        """Return HTML with a table and a small drawing of a value."""
         return make_card(value)
 
     def plot(self, value: Any, axes: Any, **options: Any) -> Any:
-        """On axes of matplotlib, which are returned."""
+        """Draw a value with matplotlib, and return the axes."""
         return plot_value(value, axes, **options)
 
     def show(self, value: Any, **options: Any) -> "SpacePage":
-        """The report's interactive figure."""
+        """Return the interactive 3-D figure of a value."""
         # A prompt that prints a value does not wait for templates.
         from trinoc.report.html import render_space
 
@@ -38,12 +40,12 @@ class NotebookDisplays:
         return SpacePage(render_space(figure, title=f"{type(value).__name__}: {heading(value)}"))
 
     def to_frame(self, value: Any) -> Any:
-        """A table of pandas."""
+        """Return a pandas DataFrame of a value."""
         return make_frame(value)
 
 
 class SpacePage:
-    """The report's interactive figure as a page of its own: `html`, which a notebook shows."""
+    """Interactive 3-D figure as an HTML page. `html` is the page; a notebook displays it."""
 
     def __init__(self, html: str) -> None:
         self.html = html
@@ -54,7 +56,10 @@ class SpacePage:
 
 
 def make_frame(value: object) -> Any:
-    """A DataFrame, a row for each item. Raises InputError where pandas is missing."""
+    """Return a DataFrame with a row for each item of a value.
+
+    Raises InputError if pandas is not installed.
+    """
     expect_extra("pandas", "notebook")
     import pandas
 

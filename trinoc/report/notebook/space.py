@@ -23,7 +23,7 @@ from trinoc.report.space_part import (
 
 @singledispatch
 def figure_in_space(value: object, *, rig: Rig | None = None) -> SpaceFigure:
-    """The figure of a value; features and matches have the cameras of `rig` beside them."""
+    """3-D figure of a value. For features and matches, the cameras of `rig` are drawn, too."""
     raise TypeError(f"{type(value).__name__} has no figure in space: use plot().")
 
 

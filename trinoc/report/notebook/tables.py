@@ -18,7 +18,7 @@ Columns = dict[str, Any]
 
 @singledispatch
 def list_columns(value: object) -> Columns:
-    """Names and values of columns, all of one length; degrees, mm and px as the names say."""
+    """Columns of a value by name, all with one length. Units are in the names."""
     raise TypeError(f"{type(value).__name__} has no table.")
 
 
