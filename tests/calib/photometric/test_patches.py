@@ -11,7 +11,7 @@ from trinoc.calib.photometric.equations import PixelRows, Prediction
 from trinoc.calib.photometric.fit_state import ImageFitState
 from trinoc.calib.photometric.patches import (
     _displacements,
-    _number_patches,
+    _renumber_patches,
     _shared_unknowns,
     _SharedUnknowns,
 )
@@ -48,7 +48,7 @@ def test_shifts_and_their_information_are_those_of_all_unknowns_together() -> No
     normal = (every.T * weight) @ every
     normal[-5:, -5:] += np.diag(shared.prior)
     gradient = (every.T * weight) @ residual
-    gradient[-5:] += shared.pull
+    gradient[-5:] += shared.prior_gradient
     np.testing.assert_allclose(shift.ravel(), -np.linalg.solve(normal, gradient)[:-5])
     np.testing.assert_allclose(
         np.linalg.inv(whitening.T @ whitening), np.linalg.inv(normal)[:-5, :-5]
@@ -68,12 +68,12 @@ def test_what_is_known_beforehand_counts_less_as_pixels_that_share_noise_do(
     assert weight.any()
     np.testing.assert_allclose(inflation * found.prior[:count], weight)
     np.testing.assert_allclose(
-        inflation * found.pull[:count], weight * (point.state.values - prior.mean)
+        inflation * found.prior_gradient[:count], weight * (point.state.values - prior.mean)
     )
     of_levels = np.asarray(point.state.levels).T.ravel() if local else np.zeros(0)
     width = np.tile(TUNING.photometric.local_widths, len(of_levels) // LOCAL_TERMS)
     np.testing.assert_allclose(inflation * found.prior[count:], width**-2)
-    np.testing.assert_allclose(inflation * found.pull[count:], of_levels / width**2)
+    np.testing.assert_allclose(inflation * found.prior_gradient[count:], of_levels / width**2)
 
 
 def test_light_of_a_block_moves_its_own_pixels_as_its_slope_says() -> None:
@@ -117,6 +117,6 @@ def lit_scene(local: bool) -> tuple[PixelScene, ImageFitState]:
 
 def test_a_patch_of_next_to_no_information_is_none() -> None:
     label, known = np.array([4, 4, 7, 7, 9]), np.array([1.0, 2.0, 1e-6, 1e-6, 0.5])
-    number, counted = _number_patches(label, known)
+    number, counted = _renumber_patches(label, known)
     assert number[[0, 1, 4]].tolist() == [0, 0, 1]
     np.testing.assert_array_equal(counted, [1.0, 2.0, 0.0, 0.0, 0.5])
