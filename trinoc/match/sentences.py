@@ -116,11 +116,7 @@ def set_does_not_belong(sure: int, by_chance: float | None, remedy: str) -> str:
     remedy : str
         Sentence with the most likely cause or the remedy.
     """
-    decoys = (
-        ""
-        if by_chance is None
-        else f", and {by_chance:.0f} sure lines if one image is mirrored on purpose"
-    )
+    decoys = "" if by_chance is None else f", and wrong images give about {by_chance:.0f} by chance"
     return (
         f"The segments and the rig do not seem to belong together: matching gives {sure} sure "
         f"lines in three views{decoys}. {remedy}"
@@ -250,12 +246,12 @@ def depth_range_excludes(segments: int) -> str:
 
 
 def calibration_suspect(camera: str, reason: str) -> str:
-    """Return the explanation that the calibration of a camera was suspect.
+    """Return the explanation that the rig file marks the calibration of a camera as SUSPECT.
 
     `reason` is a sentence from the calibration, or "".
     """
     sentence = f"{reason[:1].upper()}{reason[1:]}"
-    return f"the calibration of {camera} was suspect. {sentence}".rstrip()
+    return f"the rig states that the calibration of {camera} is SUSPECT. {sentence}".rstrip()
 
 
 CALIBRATE_AGAIN = (
@@ -279,15 +275,21 @@ def only_two_views(tracks: int) -> str:
 ADD_A_CAMERA = "Check that this rig took these images, or add a third camera."
 
 
-def sure_lines(tracks: int, share: float) -> str:
+def sure_lines(tracks: int, share: float, posterior: float) -> str:
     """Return the explanation of the number of sure lines.
 
-    `tracks` is the number of all tracks. `share` is the share of segments on sure lines, 0 to 1, in
-    the view with the smallest share.
+    Parameters
+    ----------
+    tracks : int
+        Number of all tracks.
+    share : float
+        Part of the segments on sure lines, 0 to 1, in the view with the smallest part.
+    posterior : float
+        A line is sure above this posterior probability.
     """
     return (
-        f"there are {tracks} tracks, and the sure lines contain {100 * share:.0f} % of the "
-        "segments of the view with the fewest matches."
+        f"these are the matched lines with a posterior above {posterior:g}, of {tracks} in all. In "
+        f"the view with the fewest, {100 * share:.0f} % of the segments belong to these lines."
     )
 
 

@@ -116,7 +116,10 @@ def test_a_suspect_calibration_and_errors_above_those_stated_ask_for_care():
     matches = sure_matches()
     doubted = assess_matches(matches, {"upper": "its residuals are a swirl."})
     assert (doubted.status, doubted.deciding.topic) == (MatchStatus.UNCERTAIN, "rig")
-    assert "the calibration of upper was suspect. Its residuals are a swirl." in doubted.sentence
+    assert (
+        "the rig states that the calibration of upper is SUSPECT. Its residuals are a swirl."
+        in doubted.sentence
+    )
     noisy = replace(matches, noise_scale=DecoyTuning.noisy_above + 0.1)
     assert assess_matches(noisy).deciding.topic == "agreement"
     assert "2.10 times their sigma" in assess_matches(noisy).sentence

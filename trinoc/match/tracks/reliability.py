@@ -180,7 +180,9 @@ def _count_finding(matches: Matches, is_chosen: Bool[np.ndarray, "t"]) -> MatchF
             sentences.ADD_A_CAMERA,
         )
     figure = f"{count} sure lines in three views or more"
-    explanation = sentences.sure_lines(len(matches), matches.share_in_three_views)
+    explanation = sentences.sure_lines(
+        len(matches), matches.share_in_three_views, DecoyTuning.sure_posterior
+    )
     if count >= TrackTuning.min_sure_lines:
         return MatchFinding("count", MatchStatus.MATCHED, figure, explanation)
     remedy = depth_range_remedy(matches) or sentences.too_few_sure_lines(TrackTuning.min_sure_lines)
