@@ -25,8 +25,7 @@ class Source(NamedTuple):
         The frames.
     views : tuple of str
         Cameras that each frame must have: those that have a file in any frame, if these are three
-        or
-        more; otherwise all cameras of the rig.
+        or more; otherwise all cameras of the rig.
     """
 
     folder: Path

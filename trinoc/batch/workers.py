@@ -160,8 +160,7 @@ def in_window(
     """Run tasks and yield each task with its finished future, in the order of completion.
 
     window : largest number of tasks that are started and not yet yielded. The limit keeps results
-        from
-    accumulating in memory if the consumer is slow.
+        from accumulating in memory if the consumer is slow.
     may_start : function that permits a further task. While it returns False, tasks run one at a
         time.
     """

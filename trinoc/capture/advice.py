@@ -29,7 +29,7 @@ _NINTHS = (
 
 
 def covered_cells(qualities: Sequence[ImageQuality]) -> Bool[np.ndarray, "r c"]:
-    """Cells of the field that the good images cover together, (r, c)."""
+    """Mask (r, c) of the cells of the camera's field in which a good image shows the board."""
     cells = np.zeros(GRID, dtype=bool)
     for quality in qualities:
         if quality.is_good:
@@ -98,7 +98,7 @@ def summary_lines(qualities: Sequence[ImageQuality]) -> list[str]:
 
 
 def _emptiest(cells: Bool[np.ndarray, "r c"]) -> tuple[str, tuple[float, float]]:
-    """(name, position) of the ninth of the field with the least coverage.
+    """(name, position) of the least covered of the 3 x 3 equal parts of the field.
 
     The position is the middle of an uncovered cell, in shares of the image's width and height.
     """
@@ -119,6 +119,6 @@ def _emptiest(cells: Bool[np.ndarray, "r c"]) -> tuple[str, tuple[float, float]]
 
 
 def _missing_sides(qualities: Sequence[ImageQuality]) -> list[tuple[str, int, int]]:
-    """Rows of `_SIDES` whose side has not been the far side of the board."""
+    """Rows of `_SIDES` for the board's sides that were not yet the far side in a good image."""
     leans = np.array([quality.lean for quality in qualities if quality.is_good]).reshape(-1, 2)
     return [row for row in _SIDES if not (row[2] * leans[:, row[1]] > LEAN).any()]

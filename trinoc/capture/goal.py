@@ -25,7 +25,8 @@ class Goal(NamedTuple):
     middle : (2,)
         Position of the board's middle, in shares of the image's width and height.
     fill : float
-        Share of a side of the image that the board fills, if all of it remains visible.
+        Share of the image's width or height that the board fills. It is smaller if the whole board
+        would not fit in the image.
     lean : (2,)
         Tilt, as in `measure_lean`.
     turn_deg : float

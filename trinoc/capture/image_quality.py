@@ -98,7 +98,8 @@ def measure_quality(
     target : AbstractTarget
         The board.
     search : ReadingSearch, optional
-        Search for other readings of the board, shared by the images of all cameras.
+        Search for other board layouts that agree with the images, in case `target` is wrong. The
+        images of all cameras share one search. Default: a new search.
     camera : str
         Camera of the image.
 

@@ -60,8 +60,8 @@ def edge_blur_px(
     grey : (h, w)
         Grey levels.
     normals : (k, 2), optional
-        Directions (right, down) across the edges of a board. Motion blurs only the edges across it.
-        So each direction is measured separately, and the largest blur is returned.
+        Directions (right, down) across the edges of a board. Motion blurs only edges perpendicular
+        to it. So the blur is measured separately for each direction, and the largest is returned.
 
     Notes
     -----
@@ -92,8 +92,8 @@ def _ridge_blur_px(
     The blur follows from the gradients at two scales.
 
     fine, coarse : lengths of the grey levels' gradient after a small and a large Gaussian blur.
-    ridge : mask of the pixels where the gradient is a local maximum. mask : mask of the pixels to
-        use; None for all.
+    ridge : mask of the pixels where the gradient is a local maximum.
+    mask : mask of the pixels to use; None for all.
     """
     slopes = fine if mask is None else fine[mask]
     if not len(slopes):
@@ -111,10 +111,10 @@ def _ridge_blur_px(
 def edge_normals(
     points_mm: Float[np.ndarray, "m 2"], points_px: Float[np.ndarray, "m 2"], *, round_ink: bool
 ) -> Float[np.ndarray, "k 2"] | None:
-    """Directions across the edges of a board along its Y and its X, in the image, (k, 2).
+    """Directions in the image perpendicular to a board's edges, (k, 2).
 
-    `round_ink` adds the diagonal directions, for boards with edges in all directions. None with too
-    few points.
+    First the direction for edges along the board's Y, then for edges along X. `round_ink` adds
+    the diagonal directions, for boards with edges in all directions. None with too few points.
     """
     if len(points_px) < _FEWEST_PLACES:
         return None
@@ -128,7 +128,8 @@ def edge_normals(
 def fine_contrast(image: Shaped[np.ndarray, "..."]) -> float:
     """Mean square of the fine detail of an image, which motion of the board reduces.
 
-    Of several images of a scene, the sharpest has the largest value. The cost is that of decoding.
+    Of several images of a scene, the sharpest has the largest value. The computation takes about as
+    long as decoding the image.
 
     image : (h, w) or (h, w, channels); of several channels, the second is used.
     """
@@ -177,7 +178,7 @@ def cover_cells(
 def measure_lean(
     points_mm: Float[np.ndarray, "m 2"], points_px: Float[np.ndarray, "m 2"]
 ) -> tuple[float, float]:
-    """Tilt of a board: relative differences in distance of its opposite sides.
+    """Tilt of a board: differences between the depths of its opposite sides, over the mean depth.
 
     Parameters
     ----------
@@ -189,8 +190,8 @@ def measure_lean(
     Returns
     -------
     (right minus left, lower minus upper)
-        Differences along the image axes, from one end of the points to the other, as shares of the
-        distance. (0, 0) with too few points.
+        Differences of depth between the two ends of the points along each image axis, as shares of
+        the mean depth. (0, 0) with too few points.
 
     Notes
     -----

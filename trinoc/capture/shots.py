@@ -94,9 +94,10 @@ def advise_cameras(shots: Sequence[Shot], cameras: Sequence[str]) -> Advice:
 def connect_cameras(
     shots: Sequence[Shot], cameras: Sequence[str], by: int = FEWEST_SHOTS
 ) -> list[tuple[str, ...]]:
-    """Groups of cameras that are connected by shots, each pair by at least `by` shots.
+    """Groups of cameras that are connected by shots, directly or through other cameras.
 
-    One group if all are connected.
+    Two cameras are connected directly if both have a good image in at least `by` shots. One group
+    if all are connected.
     """
     groups = [{name} for name in cameras]
     for pair in combinations(cameras, 2):

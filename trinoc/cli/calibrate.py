@@ -203,8 +203,7 @@ def _keep_of_failure(
 
     pictures : images by camera.
     refuse : function that returns the reason why the rig of the other cameras may not be written,
-        or
-    None.
+        or None.
     """
     from trinoc.capture.annotated import failure_picture
     from trinoc.capture.image_quality import measure_quality

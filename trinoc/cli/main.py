@@ -73,7 +73,10 @@ def parse_arguments(arguments: Sequence[str]) -> inspect.BoundArguments:
 
 
 def _binder(name: str) -> Callable[..., inspect.BoundArguments]:
-    """Function with the options of a command that returns the bound arguments, and runs nothing."""
+    """Function that tyro calls in place of a command: same options, but the command is not run.
+
+    It returns the arguments, bound to the command's parameters.
+    """
     command = find_command(name)
 
     def bind(*arguments: Any, **options: Any) -> inspect.BoundArguments:

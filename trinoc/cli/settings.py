@@ -89,7 +89,7 @@ def put_files_first(command: Callable[..., Any], arguments: Sequence[str]) -> li
 
 
 def _count_numbers(kind: Any) -> int:
-    """How many numbers an option of this type takes; 0 for other types."""
+    """Number of values of an option whose type is a tuple of floats; 0 for other types."""
     alternatives = map(typing.get_args, (kind, *typing.get_args(kind)))
     return next((len(values) for values in alternatives if set(values) == {float}), 0)
 

@@ -95,8 +95,9 @@ def _guess_names(files: Sequence[Path]) -> dict[str, Path]:
 
 
 def _differing(words: Sequence[str]) -> list[str]:
-    """Words without their common beginning and end. The cuts are at separators between parts of a
-    name.
+    """Parts in which names differ: the words without their common beginning and end.
+
+    Words are cut only at separators such as "_".
     """
     if len(words) == 1:
         return list(words)
@@ -139,11 +140,12 @@ def files_of_rig(arguments: Sequence[str], names: Collection[str]) -> dict[str, 
 
 
 def _camera_of_file(file: Path, words: Mapping[str, str]) -> str | None:
-    """Only camera that is named by the end of a path or by a part of the file name; else None.
+    """Camera that the end of a path names, or else a part of the file name.
 
-    A word that is a part of a longer word in the file name is ignored.
+    None if it is no camera or several. A word that is a part of a longer word in the file name is
+    ignored.
 
-    words : camera for each word.
+    words : camera for each word that may name it.
     """
     path, stem = f"/{file.as_posix()}", file.stem.lower()
     ends = (path, path.removesuffix(file.suffix))
@@ -298,9 +300,8 @@ class SceneInput(NamedTuple):
     matches : Matches
         Matches that were made with the given rig.
     tolerant, strict : callable, optional
-        Functions that match the segments with a rig, with a large sigma of the segments or the
-        stated
-        one. None if the matches were read from a file.
+        Functions that match the segments with a rig. `tolerant` assumes a large sigma of the
+        segments, `strict` the stated one. None if the matches were read from a file.
     files : dict of Path
         Input files by name.
     """

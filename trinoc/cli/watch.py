@@ -184,7 +184,10 @@ def _open_kept(
 
 
 def _look(session: "WatchSession", moments: "Iterator[Moment]", *, must_go_on: bool) -> None:
-    """Evaluate all moments, until they end or the user presses Ctrl-C."""
+    """Evaluate all moments, until they end or the user presses Ctrl-C.
+
+    must_go_on : True to log an error of the source, after the first shot, and not to raise it.
+    """
     try:
         if session.kept is not None:
             for moment in session.kept.read():

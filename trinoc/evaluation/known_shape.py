@@ -59,7 +59,7 @@ class KnownShape(Value):
 
         The parts of straight edges that are visible in two images should be detected. Visible means
         a difference of at least `grey_step` grey levels across the edge. Lines on other edges, such
-        as chords of a rim, are also right.
+        as straight pieces of a circular rim, also count as correct.
         """
         labelled = SceneTruth(_labels(len(truth.edges_mm)), truth.edge_kinds, truth.seen)
         parts = shown_parts_mm(labelled, views=2, grey_step=grey_step, kinds=("edge",))

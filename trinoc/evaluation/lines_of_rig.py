@@ -178,8 +178,8 @@ def _carry_derivative(
 ) -> Float[np.ndarray, "t 6 k"]:
     """Convert the derivative of two points on each line to that of two other points on it.
 
-    `derivative` belongs to `of_ends_mm`; the result belongs to `to_ends_mm`, which are linear
-    combinations of `of_ends_mm`.
+    `derivative` is that of the points `of_ends_mm` by k parameters. The result is that of the
+    points `to_ends_mm`, which are linear combinations of `of_ends_mm`.
     """
     count = len(of_ends_mm)
     step = of_ends_mm[:, 1] - of_ends_mm[:, 0]

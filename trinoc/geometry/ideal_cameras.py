@@ -146,9 +146,9 @@ def with_covariance(cameras: Mapping[str, Camera], rig: Rig) -> Rig:
     """Build the rig of new cameras, with the covariance of `rig` propagated to first order.
 
     Each new camera has the centre of the camera of `rig` with the same name, and may have another
-    rotation and lens. The new rig has no covariance in two cases. First, `rig` has errors of a lens
-    that the new camera does not have. Second, a new optical axis does not meet the sheet, so that
-    distance and aim are undefined.
+    rotation and lens. The new rig has no covariance in two cases. First, the covariance of `rig`
+    contains lens parameters of a camera that now has another lens. Second, a new optical axis does
+    not meet the sheet, so that distance and aim are undefined.
     """
     old_names: list[str] = []
     new_names: list[str] = []

@@ -37,8 +37,8 @@ CAMERA_FRAME = Pose(np.eye(3, 4))
 class Windows(NamedTuple):
     """Scale and position of several undistorted images in one common image plane.
 
-    A pixel is `scale_px` times the coordinates of the plane, (x/z, y/z), plus the origin. The
-    coordinates may include the ratio of the focal lengths and the skew.
+    A pixel is `scale_px` times the coordinates of the plane plus the origin. The coordinates are
+    (x/z, y/z), or these multiplied by a matrix with the ratio of the focal lengths and the skew.
 
     Attributes
     ----------
@@ -151,7 +151,8 @@ def _smallest_around(
 ) -> tuple[float, Float[np.ndarray, "v 2"]]:
     """Smallest equal squares that contain the regions: (half side, centres (v, 2)).
 
-    All centres have the same y. A region is the border (m, 2) of a field of view.
+    All centres have the same y. A region is the border (m, 2) of a field of view, scaled so that
+    the windows are squares.
     """
     low = np.stack([region.min(axis=0) for region in regions])
     high = np.stack([region.max(axis=0) for region in regions])
@@ -164,7 +165,8 @@ def _largest_inside(
 ) -> tuple[float, Float[np.ndarray, "v 2"]] | None:
     """Largest equal squares inside the regions: (half side, centres (v, 2)), or None.
 
-    All centres have the same y. None if no square lies inside every region.
+    All centres have the same y. None if no square lies inside every region. Regions are as in
+    `_smallest_around`.
     """
     low = np.stack([region.min(axis=0) for region in regions])
     high = np.stack([region.max(axis=0) for region in regions])
@@ -220,8 +222,9 @@ def _is_inside(
 ) -> Bool[np.ndarray, "n"]:
     """Return True for polygons that contain the origin, (n,).
 
-    `a` and `b` are the x and y of the corners of n polygons; `da` and `db` are the sides. Test: a
-    ray from the origin crosses an odd number of sides.
+    The n polygons are shifted copies of one polygon. `a` and `b` are x and y of their m corners;
+    `da` and `db` are the x and y components of the sides, from each corner to the next. Test: a ray
+    from the origin crosses an odd number of sides.
     """
     crosses = (b > 0) != (np.roll(b, -1, axis=1) > 0)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -77,9 +77,9 @@ def project_by_matrix(
 def project_with_jacobian(
     matrix_px: Float[ArrayLike, "*m 3 4"], points_world_mm: Float[ArrayLike, "*n 3"]
 ) -> Projection:
-    """Undistorted pixels, depths and derivatives of world points.
+    """Project world points: undistorted pixels, depths, and derivatives of pixels by points.
 
-    The arguments are those of `project_by_matrix`.
+    The arguments are those of `project_by_matrix`: one matrix or several, with e points for each.
     """
     image = homogeneous_pixel(matrix_px, points_world_mm)
     uv, depth = image[..., :2] / image[..., 2:], image[..., 2]

@@ -147,7 +147,10 @@ def _no_tracks(views: int) -> dict[str, np.ndarray]:
 
 
 def sides_of_row(sides: Sequence[str], views: int) -> tuple[int, ...]:
-    """Shape of one row of a column. `sides` are numbers as text, or "v" for the number of views."""
+    """Shape of a column of `Matches` without its first axis, the tracks.
+
+    `sides` are the lengths of the other axes: numbers as text, or "v" for the number of views.
+    """
     return tuple(views if side == "v" else int(side) for side in sides)
 
 

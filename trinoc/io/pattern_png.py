@@ -59,8 +59,9 @@ def pattern_picture(
 ) -> UInt8[np.ndarray, "h w"]:
     """Image of a board for a screen with square pixels, in true scale, centred on white.
 
-    A pixel at an edge has the light of its white share, converted to a level by sRGB (IEC
-    61966-2-1). A camera then sees each edge at its exact position between pixels.
+    The light of a pixel at an edge is the share of its area that is white, and its grey level
+    follows from the light by sRGB (IEC 61966-2-1). A camera then images each edge at its exact
+    position between pixels.
 
     Parameters
     ----------

@@ -81,9 +81,9 @@ class RigStatus(NamedTuple):
 def status_of_names(
     status: RigStatus, names: Sequence[str], *, sigmas: bool
 ) -> dict[str, Any] | None:
-    """Object "status" of a new rig.json for the cameras `names`, from the status of another.
+    """Object "status" of a new rig.json for the cameras `names`, from another file's status.
 
-    `sigmas` is True if the new file has the covariance of the other. None if no calibration
+    `sigmas` is True if the new file has the covariance of the other file. None if no calibration
     reported a status of these cameras.
     """
     cameras = {

@@ -104,8 +104,9 @@ def build_table(kind: type[_Value], fields: "ArrayFields") -> _Value:
 def _read(field: Field, fields: "ArrayFields", read: Content, side_names: Mapping[str, str]) -> Any:
     """Value of one field from the arrays of a file.
 
-    `read` contains the fields that were read before, and is extended by the side lengths of the
-    array. Raise `InputError` if the array is missing or of another type or shape.
+    `read` contains the fields that were read before, and the lengths of their axes by name. The
+    axis lengths of this array are added to it. Raise `InputError` if the array is missing or of
+    another type or shape.
     """
     name, column = field.name, field.column
     if isinstance(field.type, type) and issubclass(field.type, Table):

@@ -132,7 +132,9 @@ def common_rate(videos: Mapping[str, Video]) -> float:
 
 
 def _find_moment(readers: "Mapping[str, _VideoReader]", lacking: Counter[str]) -> bool:
-    """Advance all readers to the next common moment; return False if a video has ended.
+    """Advance all readers to the next moment at which all videos have a frame.
+
+    Return False if a video has ended.
 
     `lacking` counts for each video the moments at which it has no frame, and is updated.
     """
@@ -165,7 +167,7 @@ def _expect_whole(
 
 
 class _VideoReader:
-    """Reader of one video; `number` is the moment of the current frame, from its time stamp."""
+    """Reader of one video; `number` is the index of the current moment, from the time stamp."""
 
     def __init__(self, file: Path, rate: float) -> None:
         self.capture, self._rate = _open(file), rate

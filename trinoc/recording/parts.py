@@ -32,8 +32,7 @@ def match_part_frames(
     -------
     list of FrameMatches
         Result of each frame. All frames are matched together; if that fails, they are matched one
-        by
-        one. The status of a frame that fails, by a defect or lack of memory, is a sentence.
+        by one. The status of a frame that fails, by a defect or lack of memory, is a sentence.
     """
     usable = {name: views for name, views in segments.items() if not isinstance(views, str)}
 

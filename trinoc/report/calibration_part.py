@@ -78,7 +78,7 @@ class Ellipse(NamedTuple):
     semi_major_px, semi_minor_px : float
         Semi-axes.
     angle_deg : float
-        Angle of the major axis.
+        Angle of the major axis from u toward v.
     tip : (u, v)
         Tip of the arrow that shows the residual of the centre, px.
     used : bool
@@ -140,7 +140,7 @@ class CamerasPart(NamedTuple):
     pairs : ReportTable, optional
         Baselines and relative rotations of the pairs of cameras.
     fixed : tuple of str
-        Sentences on the poses of the boards in a set.
+        Sentences on the relative poses of boards that are fixed to each other.
     boards : ReportTable, optional
         Other estimated parameters of the boards.
     """

@@ -110,7 +110,7 @@ class Limits(NamedTuple):
     beyond : Level
         Outcome of a value that is not good.
     bad : float
-        Limit above which the outcome is bad. It is also bad if the value is NaN.
+        Value above which the outcome is bad instead of `beyond`. NaN is also bad.
     at_least : bool
         True if large values are good.
     """

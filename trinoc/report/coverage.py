@@ -78,9 +78,9 @@ class MeanResiduals(NamedTuple):
     rms_px : float
         Root mean square length of the mean residuals.
     over_chance : float
-        That length over its expectation from the scatter within the cells. It is near 1 if
-        residuals
-        do not depend on the position in the image, and NaN with too few points.
+        `rms_px` divided by the value that random residuals with the scatter inside the cells would
+        give. It is near 1 if residuals do not depend on the position in the image, and NaN with too
+        few points.
     caption : str
         Caption of the figure.
     """

@@ -39,7 +39,7 @@ class EpipolarCurve(NamedTuple):
     colour : str
         Colour of that point.
     dashed : bool
-        True for the lines of all views but the first.
+        True unless `source` is the first of the other views.
     """
 
     points_px: Float[np.ndarray, "n 2"]
@@ -68,8 +68,8 @@ class Mark(NamedTuple):
 
 
 class EpipolarFigure(NamedTuple):
-    """Figure of one image with its points of the correspondences and the epipolar lines of the
-    points in the other views.
+    """Figure of one image: its corresponding points, with the epipolar lines of the same points in
+    the other views.
     """
 
     name: str
@@ -137,8 +137,7 @@ def epipolar_part(
     points_px: Float[np.ndarray, "n v 2"],
     pictures: Mapping[str, PagePicture],
 ) -> EpipolarPart | None:
-    """Section with some of the corresponding points and the epipolar lines of each point in the
-    other views.
+    """Section with some of the corresponding points, and their epipolar lines in the other views.
 
     Returns None with fewer than three points that all views show.
 

@@ -46,7 +46,11 @@ class Scale(NamedTuple):
 
     @classmethod
     def of(cls, values: Float[np.ndarray, "n"]) -> "Scale":
-        """Scale for values, (n,), that shows two digits of the largest value."""
+        """Create the scale of maps that show these values, (n,).
+
+        Decimals are chosen so that the largest value has about two significant digits. If it is
+        below 0.05, the maps show all values in thousandths of their unit.
+        """
         finite = values[np.isfinite(values)]
         largest = max(float(finite.max()), 1e-12) if len(finite) else 1.0
         small = largest < 0.05
@@ -54,7 +58,7 @@ class Scale(NamedTuple):
 
     @property
     def px(self) -> str:
-        """Unit of the numbers if the values are in pixels."""
+        """Unit of the shown numbers, as text, if the values are in px."""
         return "thousandths of a px" if self.thousandths else "px"
 
     def cell(self, value: float) -> "FieldCell":
@@ -140,12 +144,12 @@ class FieldPart(NamedTuple):
     Attributes
     ----------
     pictures : tuple of FieldMap
-        Sigma across epipolar lines, px, over each image.
+        Over each image: sigma of a point's distance from its epipolar line, px.
     planes : tuple of FieldLevel
-        Largest sigma of a point in space, mm, in planes parallel to the sheet.
+        In planes parallel to the sheet: sigma of a point in space, mm, in its worst direction.
     worst_mm : float
-        Largest of these sigmas on the levels with `stands`. The sigma in the middle, where all
-        optical axes meet, would be misleadingly small.
+        Largest sigma in the planes that are visible when the page opens. The sigma in the middle,
+        where all optical axes meet, would be misleadingly small.
     """
 
     pictures: tuple[FieldMap, ...]
@@ -162,9 +166,10 @@ class Uncertainty(NamedTuple):
     Attributes
     ----------
     levels : tuple of FieldLevel
-        Maps at several distances, from half the distance of the boards.
+        Maps at several distances from the cameras, the nearest at half the distance of the boards.
     worst_farther_px : float
-        Largest sigma at the farther of the distances that the page shows first.
+        Largest sigma at a distance beyond the boards. When the page opens, it shows the maps of
+        this distance and of the distance of the boards.
     at_boards : PixelSigma
         Summary at the distance of the boards.
     """
@@ -267,9 +272,9 @@ def _planes(
 def _point_sigmas(
     rig: Rig, xy_mm: Float[np.ndarray, "n 2"], height_mm: float
 ) -> Float[np.ndarray, "n"]:
-    """Largest principal sigma, mm, of points at one height, whose pixels are exact in all cameras.
+    """Sigma of points at one height in their worst direction, mm, from the errors of the cameras.
 
-    xy_mm : (n, 2) positions in the plane.
+    The pixels of the points are assumed exact. xy_mm : (n, 2) positions in the plane.
     """
     covariance = point_covariance(rig, np.insert(xy_mm, 2, height_mm, axis=1))
     valid = np.isfinite(covariance).all(axis=(1, 2))
@@ -312,10 +317,11 @@ def _draw_maps(
 
 
 def halves_maps(result: CalibrationResult) -> tuple[tuple[FieldMap, ...], ...]:
-    """Maps of the difference between the pixels that two halves of the shots predict.
+    """Maps of the difference between the pixels that two calibrations predict for the same points.
 
-    The cells show the difference in px and in reported sigmas. The first group of maps is for the
-    distance of the boards, the second for a larger distance. Empty without halves.
+    Each calibration uses one half of the shots. The cells show the difference in px and in reported
+    sigmas. The first group of maps is for the distance of the boards, the second for a larger
+    distance. Empty if the halves were not calibrated.
     """
     if not result.has_rig or result.halves is None or not result.halves.over_field:
         return ()

@@ -63,7 +63,8 @@ class FrameChart(NamedTuple):
     low, high : str
         Lower and upper end of the axis, as text.
     points : (n, 3)
-        Least, median and largest number of the frames in each column, as shares of the axis.
+        Least, median and largest number of the frames in each column, as shares of the axis. A
+        column stands for one frame or several consecutive ones.
     """
 
     title: str
@@ -191,7 +192,7 @@ def _frame_fate(name: str, matches: Matches | None, failure: str) -> FrameFate:
 def _columns(values: Float[np.ndarray, "f"]) -> Float[np.ndarray, "n 3"]:
     """Least, median and largest value of the frames in each column of a chart, (n, 3).
 
-    NaN if all frames of a column failed.
+    A column stands for one frame or several consecutive ones. NaN if all frames of a column failed.
     """
     columns = []
     for part in np.array_split(values, min(COLUMNS, len(values))):

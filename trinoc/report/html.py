@@ -118,12 +118,10 @@ def write_report(
         File to write.
     result : CalibrationResult, optional
         Result of `calibrate`, or of `calibrate_rig`. The latter cannot be combined with matches. If
-        it
-        failed, the page shows its shots and residuals only.
+        it failed, the page shows its shots and residuals only.
     shot_pictures : mapping of camera to images, optional
         Images that were given to `calibrate_rig`; residuals are drawn on them. Images may be
-        functions
-        that return an image; at most 12 per camera are called.
+        functions that return an image; at most 12 per camera are called.
     sheet_pictures : mapping of camera to (h, w) or (h, w, channels), optional
         Images that were given to `calibrate`.
     rig : Rig, optional

@@ -179,9 +179,8 @@ def tracks_figures(
 
     Segments on none of these tracks are drawn faintly. Empty if the stage has no track.
 
-    segments : segments by view. pictures : images by view. colours : of each track. sigmas :
-        lengths
-    and sigmas of the lines.
+    segments : segments by view. pictures : images by view. colours : colour of each track.
+    sigmas : lengths of the tracks' 3-D lines, with their sigmas.
     """
     tracks = np.flatnonzero(np.asarray(matches.stage) == stage)
     if len(tracks) == 0:
@@ -231,7 +230,7 @@ class MatchesPart(NamedTuple):
     pairs_of_views : tuple of (text, count)
         Number of binocular tracks of each pair of views.
     counts : ReportTable, optional
-        Numbers of each step of the matching.
+        Numbers of candidates and tracks after each step of the matching.
     reasons : ReportTable, optional
         Numbers of segments by the reason why they are matched or not.
     tracks : ReportTable, optional

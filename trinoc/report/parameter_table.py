@@ -204,7 +204,10 @@ def pairs_table(result: CalibrationResult) -> ReportTable:
 
 
 def boards_table(result: CalibrationResult) -> ReportTable:
-    """Table of the boards' estimated parameters, without their poses in a set."""
+    """Table of the boards' estimated parameters, such as the scale of the print.
+
+    The relative poses of boards that are fixed to each other are omitted.
+    """
     poses = [f"board.{name}.{axis}" for name in board_names(result.board) for axis in _BOARD_POSE]
     rows = [
         [name.removeprefix("board."), _estimate_text(result, name)]

@@ -18,7 +18,7 @@ WINDOW_MARGIN = 1.25
 
 
 class PagePicture(NamedTuple):
-    """Image of the page.
+    """Image that the page contains.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Window(NamedTuple):
     def around(cls, points_px: Float[np.ndarray, "n 2"], picture: PagePicture) -> "Window":
         """Window around points (n, 2) px with a margin, clipped to the image.
 
-        It has the aspect ratio of the image if possible.
+        It has the aspect ratio of the image. Without points it is the whole image.
         """
         if len(points_px) == 0:
             return cls(*picture.window)
@@ -78,7 +78,7 @@ class Arrows(NamedTuple):
     times : float
         Magnification of the residuals.
     key_px : float
-        Residual that the key of the figure shows, px.
+        Length of the residual whose arrow the legend of the figure shows, px.
     """
 
     times: float
@@ -97,7 +97,7 @@ class Arrows(NamedTuple):
 
     @property
     def texts(self) -> tuple[str, str]:
-        """Magnification and residual of the key, as text."""
+        """Magnification, and length of the legend's residual, as text."""
         return plain(self.times), plain(self.key_px)
 
     def tip(self, point: tuple[float, float], residual: tuple[float, float]) -> tuple[float, float]:

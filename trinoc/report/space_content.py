@@ -56,8 +56,9 @@ class Box(NamedTuple):
 
     @classmethod
     def around(cls, points_mm: Float[np.ndarray, "n 3"], room: float) -> "Box":
-        """Box around points, with a margin on each side. room : margin over the longest side of the
-        points.
+        """Box around points, with the same margin on all sides.
+
+        room : margin as a share of the longest side of the points' bounding box.
         """
         low, high = points_mm.min(axis=0), points_mm.max(axis=0)
         margin = room * max(float(np.max(high - low)), 1e-6)
@@ -65,7 +66,7 @@ class Box(NamedTuple):
 
 
 def sheet_outlines(pattern: Pattern) -> list[np.ndarray]:
-    """Circles, holes and crossed lines of the sheet, as (n, 3) lines in mm at Z = 0."""
+    """Circles, rings' inner circles and crossed lines of the sheet: (n, 3) lines, mm, at Z = 0."""
     angles = np.linspace(0, 2 * np.pi, CIRCLE_POINTS + 1)
     unit = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
     parts = []
@@ -82,7 +83,11 @@ def sheet_outlines(pattern: Pattern) -> list[np.ndarray]:
 
 
 def frusta(rig: Rig) -> list[np.ndarray]:
-    """Viewing frustum of each camera, as (n, 3) lines in mm."""
+    """Drawing of each camera's viewing frustum: one polyline (n, 3) per camera, mm, in the world.
+
+    It has the outline of the image at some depth, lines from the camera centre to its corners, and
+    a mark at the upper side. The depth is the same for all cameras.
+    """
     centres = np.stack([camera.centre_world_mm for _, camera in rig.items()])
     depth = FRUSTUM_SHARE * float(np.median(np.linalg.norm(centres, axis=1)))
     return [_frustum(camera, depth) for _, camera in rig.items()]

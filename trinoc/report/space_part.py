@@ -26,8 +26,7 @@ class LineLayer(NamedTuple):
         Name in the legend.
     role : str
         Kind that determines the colour: "three", "two", "bars", "joined", "corners", "sheet",
-        "axes"
-        or "cameras".
+        "axes" or "cameras".
     parts : list of (n, 3)
         Open lines in mm; a single point is drawn as a dot.
     shown : bool
@@ -205,8 +204,9 @@ def _error_bars(matches: Matches) -> list[np.ndarray]:
 
 
 def _joined_layers(matches: Matches, rig: Rig) -> list[LineLayer]:
-    """Hidden layers of the joined lines, one for each group of collinear tracks, and of their
-    corners.
+    """Two layers, hidden when the page opens: joined lines, and the corners where they meet.
+
+    A joined line is the union of collinear tracks. Its ends are moved to corners.
     """
     joined = join_collinear(matches, rig)
     corners = snap_corners(joined)
@@ -378,9 +378,8 @@ def place_names(
 ) -> tuple[tuple[float, float, str], ...]:
     """Move names up or down to the nearest height at which no two names overlap.
 
-    names : x, y (downward) and text of each name. height : height of the letters. top : upper limit
-        of
-    the new positions.
+    names : x, y (downward) and text of each name. height : height of the letters.
+    top : upper limit of the new positions.
     """
     labels: list[tuple[float, float, str]] = []
     for x, y, name in names:

@@ -27,8 +27,9 @@ class KeptShots:
 
     @property
     def written(self) -> list[Path]:
-        """Paths for the user's list of written files: each file of a single camera, or the common
-        folder.
+        """Paths that a command reports as written; empty if nothing was saved.
+
+        For a single unnamed camera these are the image files, otherwise the folder of all cameras.
         """
         return [self.folder] if self._written and "" not in self.folders else self._written
 

@@ -43,8 +43,8 @@ class RadialPart(NamedTuple):
     by_angle : bool
         True: r is the angle. False: r is the tangent of the angle.
     tangential : tuple of float
-        Polynomial in r that bounds the derivative of the remaining distortion (tangential, prism)
-        by r. Coefficients, highest power of r first; the last one is 0.
+        Polynomial in r: an upper bound on the derivative, with respect to r, of the remaining
+        distortion (tangential, prism). Coefficients, highest power of r first; the last one is 0.
     """
 
     numerator: tuple[float, ...]
@@ -213,9 +213,10 @@ class AbstractLens(Value):
         return bool(self.coefficient_names)
 
     def radial_part(self) -> RadialPart | None:
-        """Radial part of the distortion; None for a pinhole or a model that does not provide it.
+        """Radial part of the distortion, from which the radius of the fold is computed.
 
-        Not usable inside `jit`: the parameters must be numbers.
+        None for a pinhole, or for a model that does not define a radial part. Not usable
+        inside `jit`: the parameters must be numbers.
         """
         return None
 
@@ -346,8 +347,9 @@ class AbstractLens(Value):
     def parameter_scales(self, image_size_px: tuple[int, int]) -> Float[ArrayLike, "q"]:
         """Step size of each parameter that moves the image corners by similar amounts, (q,).
 
-        A step of s times these sizes moves a corner by about s times its distance from the
-        principal point. A step of the principal point moves it by s focal lengths.
+        A step of s times the size moves an image corner by about s times the corner's distance
+        from the principal point. The exception is a step of the principal point: it moves the
+        corner by s focal lengths.
         """
         xp = array_namespace(self)
         fu, fv = self.focal_length_px[0], self.focal_length_px[1]

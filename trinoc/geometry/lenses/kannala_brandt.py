@@ -58,7 +58,7 @@ class KannalaBrandt(AbstractLens):
         return jnp.concatenate([across, jnp.where(on_axis, 1.0, jnp.cos(angle))[None]])
 
     def radial_part(self) -> RadialPart:
-        """Radial part of the distortion: the polynomial in the angle."""
+        """Radial part of the distortion: the polynomial in the angle t (see the class)."""
         falling = np.asarray(self.coefficients, dtype=np.float64)[::-1].tolist()
         return RadialPart((*falling, 1.0), by_angle=True)
 

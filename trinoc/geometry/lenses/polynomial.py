@@ -59,7 +59,10 @@ class BrownConrady(AbstractPlaneLens):
         return radial_and_tangential(ideal, 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), p1, p2)
 
     def radial_part(self) -> RadialPart:
-        """Radial part r (1 + k1 r^2 + k2 r^4 + k3 r^6), with a bound on the tangential part."""
+        """Radial part of the distortion, r (1 + k1 r^2 + k2 r^4 + k3 r^6), r = tan(angle).
+
+        `tangential` is an upper bound on the derivative of the tangential part by r.
+        """
         k1, k2, p1, p2, k3 = np.asarray(self.coefficients, dtype=np.float64).tolist()
         return RadialPart((k3, k2, k1, 1.0), tangential=(6 * math.hypot(p1, p2), 0.0))
 
@@ -95,7 +98,10 @@ class Rational(AbstractPlaneLens):
         return _by_quotient(ideal, self.coefficients)
 
     def radial_part(self) -> RadialPart:
-        """Radial part: the quotient, with a bound on the tangential part."""
+        """Radial part of the distortion: r times the quotient of cubics in r^2, r = tan(angle).
+
+        `tangential` is an upper bound on the derivative of the tangential part by r.
+        """
         return _radial_part(np.asarray(self.coefficients, dtype=np.float64).tolist())
 
 
@@ -123,7 +129,10 @@ class ThinPrism(AbstractPlaneLens):
         return _by_quotient(ideal, self.coefficients) + prism
 
     def radial_part(self) -> RadialPart:
-        """Radial part: the quotient, with a bound on the tangential part and the prism."""
+        """Radial part of the distortion: r times the quotient of cubics in r^2, r = tan(angle).
+
+        `tangential` is an upper bound on the derivative of tangential part and prism by r.
+        """
         values = np.asarray(self.coefficients, dtype=np.float64).tolist()
         s1, s2, s3, s4 = values[8:]
         radial = _radial_part(values)

@@ -51,7 +51,7 @@ class AbstractSkewedLens(AbstractLens):
         return self.from_parameters(values)
 
     def parameter_scales(self, image_size_px: tuple[int, int]) -> Float[ArrayLike, "q"]:
-        """Step sizes of the core model, and the focal length as that of the skew, (q,)."""
+        """Step sizes of the core model's parameters, then of the skew: the focal length, (q,)."""
         xp = array_namespace(self)
         return xp.append(super().parameter_scales(image_size_px), self.focal_length_px[0])
 
@@ -77,7 +77,7 @@ _SKEWED: dict[type[AbstractLens], type[AbstractSkewedLens]] = {
 
 
 def skew_lens(lens: AbstractLens) -> AbstractLens:
-    """Convert a lens to the skewed model with the most coefficients that can represent it.
+    """Convert a lens to the most general skewed model that includes the lens's own model.
 
     The projection does not change. A lens of a model without a skewed version is returned
     unchanged.

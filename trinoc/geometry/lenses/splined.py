@@ -180,7 +180,7 @@ class AbstractSplinedLens(AbstractLens):
         return self.core.undistort(of_core)
 
     def radial_part(self) -> RadialPart | None:
-        """Radial part of the core lens."""
+        """Radial part of the core lens's distortion, without the spline correction."""
         return self.core.radial_part()
 
     def steepness(self) -> float:
@@ -209,7 +209,10 @@ class AbstractSplinedLens(AbstractLens):
         return max(self.core.valid_radius_px() - float(largest_px), 0.0)
 
     def parameter_scales(self, image_size_px: tuple[int, int]) -> Float[ArrayLike, "q"]:
-        """Step sizes of the core, and half the image diagonal for control points, (q,)."""
+        """Step size of each parameter, (q,): those of the core, then of extent and control points.
+
+        The step size of a control point is half the image diagonal.
+        """
         xp = array_namespace(self)
         fu = self.focal_length_px[0]
         corner_px = 0.5 * fu * xp.hypot(image_size_px[0] / fu, image_size_px[1] / fu)

@@ -217,7 +217,7 @@ def _lens_from_map(
     matrix_key: str | None = None,
     distortion_key: str | None = None,
 ) -> Intrinsics:
-    """Read a lens from the matrix and the distortion coefficients of a map.
+    """Read a lens from a YAML map that contains its matrix and distortion coefficients.
 
     Default keys are those that OpenCV and other programs use for one camera.
     """
@@ -235,7 +235,7 @@ def _lens_from_map(
 
 
 def _first_key(block: Block, keys: tuple[str, ...]) -> str:
-    """Return the first of several keys that the map contains, or keys[0] if it contains none."""
+    """Return the first of several keys that `block` contains, or keys[0] if it contains none."""
     return next((key for key in keys if key in block.values), keys[0])
 
 
@@ -281,7 +281,7 @@ opencv = Format(
 
 
 def write_storage(document: dict[str, Any], path: Path) -> None:
-    """Write a map for `cv2.FileStorage`: as JSON if the file name ends in .json, else as YAML.
+    """Write a dictionary for `cv2.FileStorage`, as JSON if the file ends in .json, else as YAML.
 
     NumPy arrays become OpenCV matrices.
     """

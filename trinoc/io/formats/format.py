@@ -44,9 +44,9 @@ LOSSES = {
 
 
 def say_losses(value: object, loses: tuple[str, ...]) -> tuple[str, ...]:
-    """Return a phrase for each loss in `loses` that applies to `value`, such as "the covariance".
+    """Return phrases for the data of `value` that a format cannot store, such as "the covariance".
 
-    `loses` contains keys of `LOSSES`.
+    `loses` contains the keys in `LOSSES` of the data that the format cannot store.
     """
     return tuple(LOSSES[loss] for loss in loses if _has(value, loss))
 
@@ -117,8 +117,8 @@ class Format:
         Function of (path, unit_mm, lenses) that returns the value; None if only written. For a
         format with `states_unit`, unit_mm is None if the caller does not give a unit.
     keys : mapping of str to Keys
-        For each kind of map in a file: the keys that are read, ignored and refused. Empty for
-        formats without keys.
+        For each kind of dictionary in a file: the keys that are read, ignored and refused. Empty
+        for formats without keys.
     """
 
     name: str

@@ -39,7 +39,7 @@ class Refused(NamedTuple):
 
 
 class Keys(NamedTuple):
-    """Lists of the keys of one kind of map in another tool's file.
+    """Lists of the keys of one kind of dictionary in another tool's file.
 
     Attributes
     ----------

@@ -102,7 +102,7 @@ def read_nerfstudio(path: Path, unit_mm: float, lenses: Lenses | None) -> Rig:
     """Read each frame as a camera.
 
     A camera has the name of its image file without ending, or the path if two images have the same
-    name. Values that a frame does not have are those at the top level of the file.
+    name. Values that a frame lacks are taken from the top level of the file.
     """
     document = read_json(path)
     frames = document.values.get("frames")

@@ -42,7 +42,7 @@ def read_opencv_lens(
     Parameters
     ----------
     block : Block
-        Map of the file that contains both.
+        Dictionary in the file that contains both.
     matrix_key, distortion_key : str
         Keys of matrix and coefficients. Without the second key the lens has no distortion.
     size_px : (width, height)

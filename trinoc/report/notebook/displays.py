@@ -15,7 +15,11 @@ _HEIGHT_PX = 760
 
 
 class NotebookDisplays:
-    """Displays of values in notebooks, registered with `trinoc.numerics.Displayable`."""
+    """Implementation of the display methods of `trinoc.numerics.Displayable` for all values.
+
+    The methods return the line of text, the HTML, the drawings and the table of a value, such as a
+    rig or matches, for a prompt or a notebook.
+    """
 
     def heading(self, value: Any) -> str:
         """Return a line of text about a value; inside `jit`, `grad` or `vmap`, its numbers are
