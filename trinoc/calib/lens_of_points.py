@@ -179,9 +179,11 @@ def lens_parameter_names(problem: Problem) -> tuple[str, ...]:
 
 
 def score_of_points(problem: Problem) -> FixedScore:
-    """Normal equations for score tests of all parameters, with the estimated parameters eliminated.
+    """Normal equations for score tests of fixed parameters, with the estimated parameters
+    eliminated.
 
-    Residuals are in px, since points have no stated sigma.
+    They have one row for each parameter of the problem, estimated ones included. Residuals are in
+    px, since points have no stated sigma.
     """
     linearised, (view,) = whiten_views(problem), problem.views
     fitted = np.flatnonzero(problem.free)

@@ -166,8 +166,8 @@ class WhitenedViews(NamedTuple):
 
 
 def whiten_views(problem: Problem) -> WhitenedViews:
-    """Compute whitened residuals and their dense Jacobian. Only for problems of few
-    observations.
+    """Compute whitened residuals and their dense Jacobian. The Jacobian is large, so only for
+    problems of few observations.
     """
     columns, jacobian, residual = (
         np.asarray(part)[: len(problem.views)]

@@ -178,9 +178,9 @@ class LinearisedObservation(eqx.Module):
     columns : (k,) indices of these parameters in the vector of all shared parameters.
     jacobian : (n, 2, m + 6) derivative with respect to the m parameters and to the 6 of the board
         pose, whether estimated or not.
-    by_points : derivative with respect to board point displacements. Shape (n, 2, 3), each point's
-        own displacement, if the points have independent errors; else (n, 2, k - m), all
-        displacements.
+    by_points : derivative with respect to board point displacements. If the points have independent
+        errors: with respect to the point's own displacement, (n, 2, 3). Otherwise whitening mixes
+        the points: with respect to the displacements of all board points, (n, 2, k - m).
     point : (n,) index of each board point.
     residual : (n, 2) predicted minus observed pixels, in sigmas.
     """
@@ -199,7 +199,9 @@ class LinearisedObservation(eqx.Module):
 
     @property
     def by_all_points(self) -> Float[Array, "n 2 p"]:
-        """Derivative of the residuals with respect to the displacements of all board points."""
+        """Derivative of the residuals with respect to the 3-D displacements of all board points,
+        (n, 2, 3 times the number of board points).
+        """
         is_of_point = self.is_of_point
         if self.by_points.shape[-1] == 3 * is_of_point.shape[1]:
             return self.by_points
@@ -326,8 +328,11 @@ def _residuals(
 
 
 def _whiten(whitening: Float[ArrayLike, "g k k"], columns: Float[ArrayLike, "n 2 c"]) -> Array:
-    """Multiply each column (n, 2) of c columns, in px, by the whitening matrix. The result is in
-    sigmas.
+    """Whiten c columns of pixel coordinates of n points: residuals or derivatives, (n, 2, c).
+
+    Returns the columns in units of sigmas, (n, 2, c).
+
+    whitening : (g, k, k) whitening matrix of each of g groups of points, as in `ObservationTable`.
     """
     grouped = columns.reshape(*whitening.shape[:2], columns.shape[-1])
     # Unused points may lie where the lens has no image.

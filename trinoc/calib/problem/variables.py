@@ -124,7 +124,8 @@ class Parametrization(eqx.Module):
     free : (h,) 1 for an estimated shared parameter, 0 for a fixed one.
     boards_free : 1 if the board poses of the shots are estimated, 0 if they are fixed.
     priors : priors of the unknowns.
-    pose_model : local coordinates of camera poses: RIGID, or AIM_FREE over a fixed sheet.
+    pose_model : local coordinates of camera poses: RIGID, or AIM_FREE for cameras that look at a
+        fixed sheet.
     has_circles : whether some board points are circles.
     """
 
@@ -160,9 +161,11 @@ class Parametrization(eqx.Module):
 
     @property
     def slices(self) -> ParameterSlices:
-        """Index range of each kind of unknown in the vector of shared parameters.
+        """Index range of each kind of parameter (lenses, cameras, ...) in the vector of shared
+        parameters.
 
-        Shared parameters are those of lenses, camera poses, board poses in a set, and board shape.
+        Shared parameters are those that all shots have in common: lenses, camera poses, board poses
+        in a set, and board shape.
         """
         lenses, lens_size = self.lens_shape
         sizes = (

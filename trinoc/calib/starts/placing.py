@@ -173,8 +173,9 @@ def place_rig(
 def move_to_own_shots(
     initial_rig: InitialRig, problem: Problem, views: Sequence[int], cameras: Sequence[str]
 ) -> InitialRig:
-    """Initial rig in which each of some observations has a shot of its own, with a sentence on
-    each.
+    """Copy of an initial rig with one additional shot for each of the given observations.
+
+    It has the names of the additional shots, and in `refused` a sentence on each observation.
 
     views : indices of the observations in `problem.views`.
     """
