@@ -100,7 +100,7 @@ def with_lens_parameters_free(problem: Problem, names: Collection[str]) -> Probl
 
 
 def fit_without_outliers(problem: Problem) -> Problem:
-    """Fit a problem of points repeatedly, until its outliers no longer change.
+    """Fit a problem from `problem_of_points` repeatedly, until its outliers no longer change.
 
     Raises `CalibrationError` if the fit does not converge, or if a used point is behind the camera.
     """

@@ -234,8 +234,8 @@ def _motions(
 
 
 def shared_parameter_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
-    """Names of all parameters that the shots have in common: lenses, cameras, boards in a set,
-    sheets.
+    """Names of all parameters that the shots have in common: lenses, camera poses, relative poses
+    of boards that are fixed to each other, and print and bend of the boards.
 
     Displacements of single board points are omitted.
     """

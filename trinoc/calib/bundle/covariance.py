@@ -44,8 +44,8 @@ class DeterminedPart(NamedTuple):
     Attributes
     ----------
     rank : number of determined directions.
-    covariance : (k, k) covariance in the determined directions (pseudo-inverse in scaled
-        coordinates, the inner constraints of a free network); 0 in the others.
+    covariance : (k, k) covariance of the parameters, with variance 0 in undetermined directions
+        (pseudo-inverse of the information in scaled coordinates).
     gauge : description of the undetermined directions, such as the scale of the rig; empty if there
         are none.
     """

@@ -23,9 +23,9 @@ from trinoc.numerics.small_matrices import inverse_positive_definite
 class Information(NamedTuple):
     """Fisher information of the shots about the shared parameters of a calibration.
 
-    The h shared parameters are those of lenses, camera poses, board poses in a set, and board
-    shape, in local coordinates. The pose of the board in each of the s shots is eliminated (Schur
-    complement).
+    The h shared parameters are those of lenses, camera poses, relative poses of boards that are
+    fixed to each other, and board shape, in local coordinates. The pose of the board in each of the
+    s shots is eliminated (Schur complement).
 
     Attributes
     ----------

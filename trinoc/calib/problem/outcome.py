@@ -61,11 +61,11 @@ def assess_fit(fit: RobustFit) -> FitOutcome:
 
 
 def with_gradients_after_step(information: Information) -> Information:
-    """Information whose gradients are, to first order, those after a fit of all estimated
-    parameters.
+    """Information with the gradients that the shots have after one Gauss-Newton step of all
+    estimated parameters.
 
-    In a fit with some parameters fixed, the gradients of the shots do not sum to zero. Their sum
-    shows the offset of the fixed parameters, not the scatter of the shots.
+    If a fit fixed some of these parameters, the gradients do not sum to zero before this step.
+    Their sum shows the offset of the fixed parameters, not the scatter of the shots.
     """
     free = information.free
     covariance = np.nan_to_num(information.observability.covariance)

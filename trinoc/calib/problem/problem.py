@@ -57,8 +57,8 @@ class Problem(NamedTuple):
         """Index range of each kind of parameter (lenses, cameras, ...) in the vector of shared
         parameters.
 
-        Shared parameters are those that all shots have in common: lenses, camera poses, board poses
-        in a set, and board shape.
+        Shared parameters are those that all shots have in common: lenses, camera poses, relative
+        poses of boards that are fixed to each other, and board shape.
         """
         return self.parametrization.slices
 

@@ -32,7 +32,8 @@ class BoardProjection(eqx.Module):
     ----------
     lens : lens of the camera.
     cam_from_rig : pose of the camera.
-    rig_from_board : pose of the board; for a set of boards, pose of the set.
+    rig_from_board : pose of the board; for a set of boards that are fixed to each other, pose of
+        the set.
     set_from_board : pose of the board in its set; None for a single board.
     shape : (w,) print and bend parameters of the board (`AbstractSheet`).
     """
@@ -48,8 +49,8 @@ class BoardProjection(eqx.Module):
     ) -> "BoardProjection":
         """Projection after a small change of its parameters.
 
-        step : (k,) change, in this order: lens, camera pose, board pose in its set, print and bend,
-            board pose in the shot.
+        step : (k,) change, in this order: lens, camera pose, `set_from_board` if it is not None,
+            print and bend of the board, `rig_from_board`.
         """
         terms, unit = len(parametrization.sheet_model.names), parametrization.unit_mm
         poses = [POSE_SIZE] * (2 if self.set_from_board is None else 3)
@@ -344,7 +345,7 @@ def _whiten(whitening: Float[ArrayLike, "g k k"], columns: Float[ArrayLike, "n 2
 def _by_control(
     state: RigState, parametrization: Parametrization, view: ObservationTable
 ) -> Float[Array, "n 2 k"]:
-    """Derivative of the predicted pixels with respect to the control points of a splined lens."""
+    """Derivative of the pixels of n points by the k control coordinates of a splined lens."""
     assert isinstance(state.lenses, AbstractSplinedLens)
     cores = eqx.tree_at(lambda s: s.lenses, state, jax.vmap(lambda lens: lens.core)(state.lenses))
     of_core_px = _residuals(cores, parametrization, view) + view.uv_px

@@ -171,8 +171,8 @@ def fit_points(
 
 
 def whitened_errors(problem: Problem) -> Float[np.ndarray, "v n 2"]:
-    """Predicted minus observed pixels in sigmas, (v, n, 2), padded like the table; 0 for unused
-    points.
+    """Predicted minus observed pixels in sigmas, (v, n, 2), padded like `ObservationTable`; 0 for
+    unused points.
     """
     return np.asarray(_whitened(problem.state, problem.parametrization, problem.table))
 

@@ -33,8 +33,8 @@ class SheetPoints(NamedTuple):
 
     Attributes
     ----------
-    point_mm : (n, 2) positions on the drawing. If the board moved: (n, 3) positions in the frame of
-        the board.
+    point_mm : (n, 2) positions on the drawing. If the board moved between the images of a shot: (n,
+        3) positions in the frame of the board.
     uv_px : (n, 2) pixels of the points.
     whitening : (2n, 2n) root R of the information R^T R (inverse covariance) of all pixel
         coordinates. The information may be singular; unused rows of R are 0.
