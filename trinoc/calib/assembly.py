@@ -46,12 +46,13 @@ def result_of_adjustments(
     failures: dict[str, str],
     failed_fits: Mapping[str, CameraFit],
 ) -> CalibrationResult:
-    """Assemble the public result of a calibration over one sheet: rig, covariance, tests and notes.
+    """Assemble the public result of a calibration from images of one sheet: rig, covariance, tests
+    and notes.
 
     Parameters
     ----------
-    fits : for each independent group of cameras, the adjustment by circles and the final
-        adjustment.
+    fits : for each independent group of cameras, two adjustments: with circle centres only, and the
+        final one, with the chosen observations.
     pattern : the sheet.
     priors : priors of sheet, lenses and aims.
     status : status of each camera, in the user's order.
@@ -163,7 +164,7 @@ def _camera_fit(
 
     Parameters
     ----------
-    by_circles : adjustment of all cameras by circles.
+    by_circles : adjustment that uses the circle centres of all cameras.
     adjustment : final adjustment of all cameras.
     view : index of the camera.
     observability : pose parameters that are determined.

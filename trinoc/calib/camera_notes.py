@@ -103,10 +103,10 @@ def is_suspect(
 
 
 def notes_of_misfit(circles: Adjustment, view: int) -> tuple[str, ...]:
-    """Return the warning that neighbouring circles have similar residuals far above the noise, if
-    they do.
+    """Return the warning that neighbouring circles have similar residuals far above the image
+    noise; empty if they do not.
 
-    circles : adjustment of all cameras by their circles. view : index of the camera.
+    circles : adjustment that uses the circle centres of all cameras. view : index of the camera.
     """
     times = float(circles.sigma_factors[view])
     tuning = circles.problem.tuning.answer
@@ -149,7 +149,7 @@ def notes_of_camera(
     Parameters
     ----------
     camera : the camera with its chosen observations.
-    circles : adjustment of all cameras by their circles.
+    circles : adjustment that uses the circle centres of all cameras.
     view : index of the camera.
     tests : score tests of the parameters that the fit assumed exact.
     gauge : names of undetermined parameters.

@@ -56,7 +56,8 @@ def assess_folds(
 
     A lens folds the image where its distortion maps two rays to one pixel. This happens when a
     distortion that was fitted to the middle of the image is extrapolated. The lens may be used if
-    all observations are inside the fold, and if only a small part of the image is outside.
+    all observations are nearer to the middle of the image than the fold, and only a small part of
+    the image is farther out.
 
     Parameters
     ----------

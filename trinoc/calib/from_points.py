@@ -65,8 +65,8 @@ def calibrate_points(
     free : names of the lens parameters to estimate: fx_px, fy_px, cx_px, cy_px, skew_px, and the
         coefficients of the lens's model or of a more general model. Their initial values are those
         of `lens`.
-    pose_model : "rigid": any motion. "aim-free": the same, as pan, tilt, swing, distance and aim.
-        "aimed": the optical axis meets the origin of the world.
+    pose_model : "rigid": any motion. "aim-free": also any motion, but its parameters are pan, tilt,
+        swing, distance and aim. "aimed": the optical axis meets the origin of the world.
     systematics : its `lens_covariance` is the covariance of the lens parameters that are not
         estimated; the covariance of the result contains it. Default: that of a data sheet, if the
         lens comes from one (`Systematics.typical`). `Systematics()` assumes an exact lens. Points

@@ -100,7 +100,7 @@ def with_lens_parameters_free(problem: Problem, names: Collection[str]) -> Probl
 
 
 def fit_without_outliers(problem: Problem) -> Problem:
-    """Fit a problem of points repeatedly, until its outliers no longer change.
+    """Fit a problem from `problem_of_points` repeatedly, until its outliers no longer change.
 
     Raises `CalibrationError` if the fit does not converge, or if a used point is behind the camera.
     """
@@ -179,9 +179,11 @@ def lens_parameter_names(problem: Problem) -> tuple[str, ...]:
 
 
 def score_of_points(problem: Problem) -> FixedScore:
-    """Normal equations for score tests of all parameters, with the estimated parameters eliminated.
+    """Normal equations for score tests of fixed parameters, with the estimated parameters
+    eliminated.
 
-    Residuals are in px, since points have no stated sigma.
+    They have one row for each parameter of the problem, estimated ones included. Residuals are in
+    px, since points have no stated sigma.
     """
     linearised, (view,) = whiten_views(problem), problem.views
     fitted = np.flatnonzero(problem.free)

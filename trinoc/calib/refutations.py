@@ -119,7 +119,9 @@ def _sentence_on_points(
 def _offset_and_sigma(
     scale: Float[np.ndarray, "k"], test: RaoTest
 ) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Predicted offsets of k fixed parameters, and their sigmas, in the unit of the parameters.
+    """Predicted change of k fixed parameters if they were estimated, (k,), and its sigmas, (k,).
+
+    Both are in the units of the parameters.
 
     scale : change of each parameter for a unit change of its local coordinate.
     """
@@ -140,8 +142,8 @@ class _Noise(NamedTuple):
 
     @classmethod
     def of(cls, score: FixedScore, scatter: ShotScatter) -> "_Noise":
-        """Variance of the residuals, or the variance that the scatter of the shots shows if it is
-        larger.
+        """Variance of the residuals, or the variance estimated from the scatter between the shots
+        if that is larger.
 
         Errors that the points of a shot have in common do not appear in the residuals, but change
         the lens.
@@ -186,8 +188,8 @@ class ExactLensTests(NamedTuple):
     information : information of the shots about its free parameters.
     is_tested : (f,) whether each of `information.free` was fixed in the fit.
     score : normal equations of these fixed parameters.
-    columns : indices in `score` for each group of lens parameters. A group is (index of the lens,
-        names of the parameters).
+    columns : for each group of lens parameters, their indices in `score`. A group is (index of the
+        lens, names of the parameters).
     significant : groups that the observations contradict, in order. Each was tested with the
         earlier ones estimated.
     noise : noise variance with these groups estimated.

@@ -142,9 +142,9 @@ def _find_ink(problem: Problem, read_grey: GreyOfView) -> Pattern | SquareSheet:
 
 
 def _with_factors_in_covariances(problem: Problem) -> Problem:
-    """Problem in which all sigma factors are multiplied into the covariances of the points.
+    """Problem in which the covariances of the points contain the factors of their sigmas.
 
-    The factors themselves are then 1.
+    The factors of cameras and images are then 1.
     """
     views = []
     for view in problem.views:
@@ -198,7 +198,8 @@ def _fit_images(
 
 
 def quarters_of_tags(problem: Problem, board: AprilGrid, read_grey: GreyOfView) -> int:
-    """Number of quarter turns by which the printed tags are rotated relative to `trinoc pattern`.
+    """Number of quarter turns by which the printed tags are rotated relative to those that `trinoc
+    pattern` draws.
 
     Programs that draw AprilGrids differ in this. The rotation with the largest contrast between
     paper and ink cells in the first images is returned.

@@ -74,9 +74,10 @@ def circles_leave_free(circles: int, parameters: Sequence[str]) -> str:
 
 
 def fit_did_not_converge(circles: int, folds_at_radius: str | None) -> str:
-    """Message about a fit without a minimum.
+    """Message about a fit of circle centres that did not converge.
 
-    folds_at_radius : description of the lens's fold; None unless the fold may be the cause.
+    folds_at_radius : description of the fold of the lens (a radius where the distortion maps two
+        rays to one pixel); None unless the fold may be the cause.
     """
     cause = "" if folds_at_radius is None else f", because the lens {folds_at_radius}"
     check = "Check that the pattern file and the lens belong to this image."
@@ -85,7 +86,11 @@ def fit_did_not_converge(circles: int, folds_at_radius: str | None) -> str:
 
 
 def circles_misfit(misfit_px: float, folds_at_radius: str | None, aim_is_free: bool) -> str:
-    """Message about residuals above any noise. folds_at_radius : as in `fit_did_not_converge`."""
+    """Message about residuals of the circles that are much larger than noise.
+
+    folds_at_radius : as in `fit_did_not_converge`.
+    aim_is_free : whether the pose model includes the aim.
+    """
     free = "" if aim_is_free else ', or estimate the aim with pose_model="aim-free"'
     cause = "" if folds_at_radius is None else f", because the lens {folds_at_radius}"
     check = f"Check the focal length and the pattern file{free}."
@@ -94,7 +99,7 @@ def circles_misfit(misfit_px: float, folds_at_radius: str | None, aim_is_free: b
 
 
 def few_circles_agree(agreeing: int, circles: int) -> str:
-    """Message that most circles are outliers."""
+    """Message that most circles are outliers with respect to one camera pose."""
     return (
         f"only {agreeing} of {circles} circles agree with one pose of the camera. Check the "
         "pattern file and the image."
@@ -105,7 +110,10 @@ def few_circles_agree(agreeing: int, circles: int) -> str:
 
 
 def neighbours_err_alike(rms_px: float, times_noise: float) -> str:
-    """Message that neighbouring circles have similar residuals, far above the image noise."""
+    """Message that neighbouring circles have similar residuals, far above the image noise.
+
+    times_noise : the residuals divided by the image noise.
+    """
     return (
         f"the residuals are {rms_px:.2g} px rms, {times_noise:.0f} times the image noise, and "
         "neighbouring circles have similar residuals. Check the lens, lay the sheet flat, and keep "
@@ -114,7 +122,11 @@ def neighbours_err_alike(rms_px: float, times_noise: float) -> str:
 
 
 def axis_misses_origin(aim_mm: Float[np.ndarray, "2"], sigma_mm: Float[np.ndarray, "2"]) -> str:
-    """Message that the optical axis misses the origin, by less than its stated sigma allows."""
+    """Message that the optical axis misses the origin of the sheet by a significant offset, which
+    was estimated.
+
+    aim_mm : estimated intersection of the axis and the sheet. sigma_mm : its sigmas.
+    """
     return (
         f"the optical axis misses the origin of the sheet by ({aim_mm[0]:.2f}, {aim_mm[1]:.2f}) "
         f"+- ({sigma_mm[0]:.1g}, {sigma_mm[1]:.1g}) mm. The fit estimated this offset, so the "
@@ -156,7 +168,10 @@ def effects_included(effects: Sequence[str]) -> str:
 
 
 def pixels_not_used(share: float) -> str:
-    """Message about pixels near the outlines of circles and lines that do not show the sheet."""
+    """Message about pixels near the outlines of circles and lines that do not show the sheet.
+
+    share : fraction of the pixels near the outlines that was excluded.
+    """
     return (
         f"{100 * share:.0f} % of the pixels near the outlines of circles and lines were not used, "
         "because they show something other than the sheet."
@@ -164,7 +179,10 @@ def pixels_not_used(share: float) -> str:
 
 
 def image_departs(noise: float, noise_floor: float) -> str:
-    """Message about residuals of the grey levels above the noise of the image."""
+    """Message about residuals of the grey levels above the noise of the image.
+
+    noise, noise_floor : root mean square residual, and image noise, in grey levels.
+    """
     return (
         f"the residuals of the grey levels are {noise:.1f} grey levels rms, but the image noise is "
         f"only {noise_floor:.1f}. The sigmas are computed from the larger number."
@@ -172,7 +190,7 @@ def image_departs(noise: float, noise_floor: float) -> str:
 
 
 def circles_scatter(factor: float) -> str:
-    """Message about residuals of circles above their sigmas."""
+    """Message about residuals of circles that exceed their sigmas. factor : their ratio."""
     return (
         f"the residuals of the circles are {factor:.1f} times their sigmas. All sigmas of this "
         "camera were multiplied by this factor."
@@ -180,7 +198,10 @@ def circles_scatter(factor: float) -> str:
 
 
 def parts_disagree(factor: float) -> str:
-    """Message about mean residuals of blocks of circles above their sigmas."""
+    """Message that the mean residuals of blocks of neighbouring circles exceed their sigmas.
+
+    factor : ratio of the mean residuals to their sigmas.
+    """
     return (
         f"the mean residuals over parts of the sheet are {factor:.1f} times their sigmas, because "
         "neighbouring circles have similar errors. All sigmas of this camera were multiplied by "
@@ -223,7 +244,10 @@ def fixed_parameter_off(test: FixedParameterTest) -> str:
 
 
 def one_of_them_is_off(kinds: Sequence[str], sigmas: float) -> str:
-    """Message about unknowns of which one is wrong, where the images cannot show which."""
+    """Message about several stated values of which one is wrong, if the images cannot show which.
+
+    kinds : kinds of these values, such as "focal length". sigmas : size of the contradiction.
+    """
     remedies = dict.fromkeys(_REMEDY[kind] for kind in kinds)
     return (
         f"the images contradict one of these stated values by {sigmas:.1f} sigma, but cannot show "
@@ -233,7 +257,7 @@ def one_of_them_is_off(kinds: Sequence[str], sigmas: float) -> str:
 
 
 def sheet_bends(height_mm: float, flatness_mm: float) -> str:
-    """Message about a bend far beyond the stated flatness."""
+    """Message about a sheet whose bend is far larger than the stated sigma of its flatness."""
     return (
         f"the sheet bends by {height_mm:.1f} mm, but the stated sigma of its flatness is "
         f"{flatness_mm:.2g} mm. {capitalise(_REMEDY['bend'])}."
@@ -253,7 +277,10 @@ def print_is_longer(share: float, sigmas: float) -> str:
 
 
 def aim_is_off(aim_mm: Float[np.ndarray, "2"], expected_mm: float) -> str:
-    """Message about an aim far beyond its stated sigma."""
+    """Message about an optical axis that misses the origin by far more than the stated sigma.
+
+    aim_mm : intersection of the axis and the sheet. expected_mm : stated sigma.
+    """
     return (
         f"the optical axis misses the origin of the sheet by ({aim_mm[0]:.1f}, "
         f"{aim_mm[1]:.1f}) mm, but the stated sigma of the aim is {expected_mm:.2g} mm. "
@@ -262,7 +289,7 @@ def aim_is_off(aim_mm: Float[np.ndarray, "2"], expected_mm: float) -> str:
 
 
 def statements_disagree(sigmas: float) -> str:
-    """Message that all priors together are contradicted, and none alone."""
+    """Message that the images contradict the combination of all priors, but no single prior."""
     return (
         f"the images contradict the stated values of sheet, lens and aim by {sigmas:.1f} sigma in "
         "total, although they contradict no single value. Check the pattern file and the lens, and "
@@ -271,7 +298,11 @@ def statements_disagree(sigmas: float) -> str:
 
 
 def statement_is_off(kind: str, offset: Float[np.ndarray, "k"], sigmas: float) -> str:
-    """Message about one stated value that the images contradict."""
+    """Message about one stated value that the images contradict.
+
+    kind : kind of the value, such as "focal length". offset : estimated minus stated value.
+    sigmas : size of the contradiction in sigmas.
+    """
     name, difference = _NAME[kind].removeprefix("the "), f"{sigmas:.1f} sigma"
     if kind in ("focal length", "aspect", "print size"):
         difference = f"{100 * float(offset[0]):+.2f} %, {difference}"
@@ -347,7 +378,10 @@ def _error_of_lens(test: FixedParameterTest) -> str:
 
 
 def _motion(test: FixedParameterTest) -> str:
-    """Undetected change of the camera's distance and of the angle that changes most, as text."""
+    """Text of the camera motion that an undetectable error causes.
+
+    It contains the change of the distance, and that of pan, tilt or swing, whichever is largest.
+    """
     angles = np.abs(test.undetectable_motion[:3])
     name = PARAMETER_NAMES[int(np.argmax(angles))].removesuffix("_deg")
     return (
@@ -380,7 +414,7 @@ MORE_SHOTS = ". Take more shots, and tilt the board in a different direction in 
 def shots_do_not_determine(parameters: Sequence[str], reason: str) -> str:
     """Message about parameters that the shots do not determine.
 
-    reason : one of the phrases above.
+    reason : end of the sentence, one of the constants above such as `ONE_SHOT`.
     """
     return f"The shots do not determine {list_names(parameters, 8)}{reason}."
 
@@ -394,8 +428,10 @@ def coefficients_fixed(names: Sequence[str]) -> str:
 def coefficients_not_called_for(
     count: int, names: Sequence[str], extra: Sequence[str], gain: float
 ) -> str:
-    """Message that the first `count` coefficients of a lens suffice. gain : chi-square of the
-    `extra` ones.
+    """Message that the first `count` distortion coefficients of a lens suffice.
+
+    names : names of all coefficients. extra : names of the unnecessary ones.
+    gain : reduction of chi-square by the `extra` coefficients.
     """
     needed = "no distortion coefficient" if count == 0 else f"only {', '.join(names[:count])}"
     unneeded = ", ".join(extra)
@@ -463,7 +499,11 @@ def lens_choice(
 
 
 def lens_folds(camera: str, folds_at_radius: str) -> str:
-    """Message about a lens that must not be used. folds_at_radius : description of its fold."""
+    """Message about a lens that must not be used, because it folds the image.
+
+    folds_at_radius : description of the fold of the lens (a radius where the distortion maps two
+        rays to one pixel).
+    """
     return (
         f'The fitted distortion of "{camera}" {folds_at_radius}. Show the board nearer to the '
         "image corners, fit fewer coefficients (distortion=1 or distortion=2), or choose the lens "
@@ -472,8 +512,10 @@ def lens_folds(camera: str, folds_at_radius: str) -> str:
 
 
 def lens_folds_outside(camera: str, folds_at_radius: str) -> str:
-    """Message about a lens that folds where nothing was observed. folds_at_radius : description of
-    its fold.
+    """Message about a lens that folds the image only where nothing was observed.
+
+    folds_at_radius : description of the fold of the lens (a radius where the distortion maps two
+        rays to one pixel).
     """
     return (
         f'The distortion of "{camera}" {folds_at_radius}. To use this part of the image, show the '
@@ -489,7 +531,11 @@ def lens_model_widened(
     rms_px: float,
     folding_rms_px: float,
 ) -> str:
-    """Message that another lens model was used, because the first one folds the image."""
+    """Message that another lens model was used, because the first one folds the image.
+
+    folds_at_radius : description of the fold of the lens (a radius where the distortion maps two
+        rays to one pixel).
+    """
     return (
         f'The {model} distortion of "{camera}" {folds_at_radius}. The lens model {wider_model} was '
         f"used therefore. Its rms residual is {rms_px:.3f} px, and that of {model} is "
@@ -500,7 +546,11 @@ def lens_model_widened(
 def folding_coefficients_fixed(
     camera: str, names: Sequence[str], folds_at_radius: str, rms_px: float, folding_rms_px: float
 ) -> str:
-    """Message about coefficients that were fixed at 0, because the lens would fold the image."""
+    """Message about coefficients that were fixed at 0, because the lens would fold the image.
+
+    folds_at_radius : description of the fold of the lens (a radius where the distortion maps two
+        rays to one pixel).
+    """
     coefficients, verb = ", ".join(names), "was" if len(names) == 1 else "were"
     return (
         f'The distortion of "{camera}" fitted with {coefficients} {folds_at_radius}. Therefore '
@@ -513,7 +563,10 @@ def folding_coefficients_fixed(
 
 
 def board_elsewhere(where: str, error_px: float) -> str:
-    """Message about an image in which the board is not at its estimated pose."""
+    """Message about an image in which the board is not at the estimated pose of its shot.
+
+    where : name of the image. error_px : distance of the board from this pose in the image.
+    """
     return (
         f"{where} shows the board {error_px:.1f} px from its estimated pose in this shot, so the "
         "board moved, or the image was taken at another moment. The image was not used."
@@ -521,21 +574,26 @@ def board_elsewhere(where: str, error_px: float) -> str:
 
 
 def points_located_wrongly(where: str, wrong: int, count: int) -> str:
-    """Message about corners or circles of an image that are outliers."""
+    """Message about corners or circles of an image that are outliers.
+
+    where : name of the image. wrong : number of outliers. count : number of detected points.
+    """
     verb = "was" if wrong == 1 else "were"
     return f"{where}: {wrong} of {count} board points {verb} located wrongly and not used."
 
 
 def grey_levels_not_used(where: str, reason: str) -> str:
-    """Message about an image whose detected points were used instead of its grey levels. reason :
-    a sentence.
+    """Message about an image whose detected points were used instead of its grey levels.
+
+    where : name of the image. reason : a sentence.
     """
     return f"{where}: {reason} The detected points of this image were used, not its grey levels."
 
 
 def detection_remark(where: str, remark: str) -> str:
-    """Message about corners of an image that the detector rejected. remark : their number and the
-    reason.
+    """Message about corners or circles of an image that the detector rejected.
+
+    where : name of the image. remark : number of these points, and the reason.
     """
     return f"{where}: {remark}. These points were not used."
 
@@ -551,7 +609,9 @@ def few_points_agree(points: str, used: int, total: int) -> str:
 
 
 def points_misfit(points: str, misfit_px: float) -> str:
-    """Message about residuals that are too large for the board. points : "circles" or "corners"."""
+    """Message about residuals that are too large for images of the given board. points : "circles"
+    or "corners".
+    """
     return f"The {points} have an rms residual of {misfit_px:.1f} px. {_one_camera(points)}"
 
 
@@ -564,7 +624,7 @@ def _one_camera(points: str) -> str:
 
 
 def not_converged(status: str) -> str:
-    """Message about a fit that did not converge. status : its sentence."""
+    """Message about a fit that did not converge. status : sentence of its status."""
     return f"{status} Check that all images show this board."
 
 
@@ -578,7 +638,11 @@ def circles_of_camera_scatter(camera: str, factor: float) -> str:
 
 
 def residuals_exceed_sigmas(camera: str, factor: float, has_causes: bool) -> str:
-    """Message about residuals of a camera that are so large that the rig is SUSPECT."""
+    """Message about residuals of a camera that are so large that the rig is SUSPECT.
+
+    factor : the residuals divided by their sigmas. has_causes : whether other notes name the
+        causes.
+    """
     remedy = (
         "The following notes name the causes."
         if has_causes
@@ -588,7 +652,10 @@ def residuals_exceed_sigmas(camera: str, factor: float, has_causes: bool) -> str
 
 
 def shots_differ(factor: float, has_causes: bool) -> str:
-    """Message that all sigmas were multiplied, because the errors within a shot are correlated."""
+    """Message that all sigmas were multiplied, because the errors within a shot are correlated.
+
+    factor : factor of the sigmas. has_causes : whether other notes name the causes.
+    """
     sentence = (
         f"All sigmas were multiplied by {factor:.1f}, because the residuals of one shot have "
         "common errors, which differ from shot to shot."
@@ -650,8 +717,9 @@ def board_shape(in_plane_mm: float, off_plane_mm: float) -> str:
 
 
 def board_deviates(board: str, parameter: str, value: float, sigmas: float) -> str:
-    """Message about a parameter of the board that is far from the stated one. board : its name, or
-    "".
+    """Message about a parameter of the board that is far from its stated value.
+
+    board : name of the board in a set; "" for a single board.
     """
     of_board = f' "{board}"' if board else ""
     amount = f"{value:.2f} mm" if parameter.endswith("_mm") else f"{100 * value:.2f} %"
@@ -666,8 +734,9 @@ def board_deviates(board: str, parameter: str, value: float, sigmas: float) -> s
 
 
 def lens_strained(strain: float) -> str:
-    """Message about a lens with a stated covariance that the images contradict. strain : in its
-    sigmas.
+    """Message about a given lens that the images contradict more than its stated sigmas allow.
+
+    strain : largest difference between fitted and given lens, in stated sigmas.
     """
     return (
         f"the images contradict the given lens by {strain:.1f} sigma. Check focal length, pixel "
@@ -676,12 +745,15 @@ def lens_strained(strain: float) -> str:
 
 
 def lens_of_cameras_strained(cameras: Sequence[str], strain: float) -> str:
-    """Message about a lens of one or several cameras of a rig that the images contradict."""
+    """Message about a given lens of one or several cameras of a rig that the images contradict.
+
+    strain : largest difference between fitted and given lens, in stated sigmas.
+    """
     return f"Lens of {_quoted(cameras)}: {lens_strained(strain)}"
 
 
 def aim_misses_origin(offset_mm: Float[np.ndarray, "2"], sigma_mm: Float[np.ndarray, "2"]) -> str:
-    """Message about an optical axis that was fixed at the origin and does not meet it."""
+    """Message about an optical axis that was assumed to meet the origin and misses it."""
     return (
         f"The optical axis misses the origin by ({offset_mm[0]:.3g}, {offset_mm[1]:.3g}) +- "
         f'({sigma_mm[0]:.1g}, {sigma_mm[1]:.1g}) mm. Use pose_model="aim-free", which estimates '
@@ -723,6 +795,9 @@ def lens_error_undetectable(
 ) -> str:
     """Message about an error of a given lens that the shots cannot show and that would move a
     camera far.
+
+    names, offsets : lens parameters with this error, and its size.
+    moved_camera, strain : camera that the error would move most, and its motion in sigmas.
     """
     errors = " and ".join(f"{n} by {o:+.2g}" for n, o in zip(names, offsets, strict=True))
     return (
@@ -733,7 +808,7 @@ def lens_error_undetectable(
 
 
 def skew_of_points(skew_px: float, sigma_px: float) -> str:
-    """Message about a camera fitted to points with a skew."""
+    """Message about a camera, fitted to given points, whose estimated skew differs from 0."""
     return (
         f"The estimated skew is {skew_px:.3g} +- {sigma_px:.1g} px, but sensors have no skew. "
         "Check that the axes of the points' frame are perpendicular, and that the lens is not "

@@ -241,10 +241,10 @@ def calibrate_sheet(
 def adjust_group(
     cameras: Sequence[SheetCamera], pattern: Pattern, priors: SheetPriors, encoding: Encoding
 ) -> tuple[Adjustment, Adjustment]:
-    """Adjust cameras that share an uncertain sheet or lens.
+    """Fit all cameras that share an uncertain sheet or lens together.
 
-    Returns the adjustment by circle centres, and the final adjustment, in which each camera uses
-    its grey levels or its circles.
+    Returns two adjustments: one with the circle centres of all cameras, and the final one, in which
+    each camera uses its grey levels or its circle centres.
 
     priors : priors of sheet, lenses and aims.
     encoding : relation between grey levels and light.
@@ -279,7 +279,7 @@ def fit_grey_levels(
     Returns the cameras with `grey_level_fit`. They also have `ink_spread_mm`, if the ink extends so
     far beyond the drawn edges that it matters.
 
-    by_circles : adjustment of all cameras by circle centres.
+    by_circles : adjustment that uses the circle centres of all cameras.
     encoding : relation between grey levels and light.
     """
     images, poses, lenses = {}, {}, {}

@@ -97,7 +97,7 @@ class ShotObservations:
     target : the board, or the set of boards.
     lenses : given intrinsics, by the name of the camera.
     lens_factors : factor L of the covariance L L^T of each given lens that is not exact.
-    freedom : which parameters of the other lenses are estimated.
+    freedom : which parameters of the lenses that are not given are estimated.
     systematics : standard deviations of the errors of the board.
     tuning : constants of the method.
     """

@@ -30,8 +30,8 @@ _ROUNDING = 1e-14
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """Joint least-squares estimate of all cameras over one sheet, with priors of sheet, lenses and
-    aims.
+    """Joint least-squares estimate of all cameras that observe one sheet, with priors of sheet,
+    lenses and aims.
 
     The f estimated parameters are those of lenses, camera poses, and print and bend of the sheet.
     They are local coordinates: small changes at the estimate.
@@ -41,8 +41,8 @@ class Adjustment:
     cameras : observations of each of v cameras. A camera is addressed by its index `view` in this
         tuple.
     priors : priors of sheet, lenses and aims.
-    problem : problem at the solution, with outliers marked as unused and the factors of the point
-        sigmas.
+    problem : problem at the solution. It contains the mask of used circles, and the factors by
+        which the point sigmas were multiplied.
     whitened : whitened residuals at the solution and their Jacobian.
     root : (f, f) upper triangular R of the information R^T R of the estimated parameters, priors
         included. It is computed directly by a QR decomposition of the Jacobian, because R^T R would
@@ -182,7 +182,7 @@ def adjust(
     start: Adjustment | None = None,
     first_damping: float | None = LEAST_DAMPING,
 ) -> Adjustment:
-    """Fit all cameras over one sheet together, without outlier circles.
+    """Fit all cameras that observe one sheet together, without outlier circles.
 
     If the residuals of a camera are larger than its point sigmas, these sigmas are enlarged and all
     cameras are fitted again.

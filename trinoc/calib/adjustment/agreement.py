@@ -42,8 +42,8 @@ def choose_observations(
     view : index of the camera.
     camera : the camera with its grey-level points, or with its circles if the grey levels had no
         fit.
-    by_circles : adjustment of all cameras by circle centres.
-    by_pixels : adjustment of all cameras by grey levels.
+    by_circles : adjustment that uses the circle centres of all cameras.
+    by_pixels : adjustment that uses the grey levels of all cameras.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def probability_of_agreement(by_circles: Adjustment, by_pixels: Adjustment, view
     Sheet and lens are fixed at the values of the grey-level adjustment. A small value means that
     one of both models is wrong.
 
-    by_circles, by_pixels : adjustments of all cameras by circles and by grey levels.
+    by_circles, by_pixels : adjustments of all cameras that use circle centres and grey levels.
     view : index of the camera.
     """
     pose_steps = by_circles.free[by_circles.rows(view)]

@@ -130,7 +130,8 @@ def find_undetectable_errors(
 
 
 def _covariance(adjustment: Adjustment, subject: str) -> Float[np.ndarray, "f f"]:
-    """Predicted covariance, (f, f), if the lens or the print were known better.
+    """Predicted covariance, (f, f), of the estimated parameters if lens or print had a narrower
+    prior.
 
     The prior sigmas are divided by `better_known` of the tuning.
 

@@ -177,8 +177,8 @@ class PriorSpace(NamedTuple):
         return bool(np.linalg.norm(across, 2) > largest)
 
     def _by_sigma(self, unknown: Unknown) -> Float[np.ndarray, "k f"]:
-        """Derivative, (k, f), of a quantity with respect to the parameters, in units of their prior
-        sigmas.
+        """Derivative, (k, f), of a quantity's k components with respect to the f estimated
+        parameters, each in units of its prior sigma.
 
         Columns of parameters without a prior are 0.
         """

@@ -43,9 +43,11 @@ def field_differences(
     covariance: Float[np.ndarray, "f f"],
     cameras: tuple[str, ...],
 ) -> tuple[FieldDifference, ...]:
-    """Difference between the pixels predicted by two halves of the shots, over each camera's image.
+    """For each camera, difference between the pixels that the rigs of two halves of the shots
+    predict.
 
-    One rigid motion is removed, since the halves may have different frames.
+    It is evaluated for 3-D points on the rays of a grid of pixels. One rigid motion is removed,
+    since the two rigs may have different frames.
 
     Parameters
     ----------
@@ -129,7 +131,8 @@ def _image_field(problem: Problem, camera: int) -> _Field:
 def _derivatives(
     state: RigState, parametrization: Parametrization, points: ArrayLike
 ) -> tuple[Array, Array]:
-    """Derivatives of the predicted pixels, (c, 2, n, 2), of each camera's points.
+    """Derivatives of the predicted pixels, (c, 2, n, 2), of n points at two distances from each of
+    c cameras.
 
     The first is with respect to one rigid motion of all points, (6,). The second is with respect to
     lenses, cameras and board, (h,).
@@ -148,7 +151,9 @@ def _derivatives(
 
 
 def _images(state: RigState, parametrization: Parametrization, points: ArrayLike) -> ArrayLike:
-    """Predicted pixels, (c, 2, n, 2), of the points (c, 2, n, 3) of each of c cameras."""
+    """Predicted pixels, (c, 2, n, 2), of n points at two distances from each of c cameras, (c, 2,
+    n, 3).
+    """
 
     def of_camera(pose: ArrayLike, lens_index: ArrayLike, camera_points: ArrayLike) -> ArrayLike:
         lens = jax.tree.map(lambda leaf: leaf[lens_index], state.lenses)
@@ -215,7 +220,7 @@ def _align_half(
     Parameters
     ----------
     half : solution for the half.
-    points : (c, 2, n, 3) points on the rays of each camera, mm.
+    points : (c, 2, n, 3) n points at two distances from each camera, on its rays, mm.
     reference_px : (r,) pixel coordinates predicted by the rig of all shots.
     has_ray : mask of the pixel coordinates for which the lens has a ray; r of them are True.
     alignment : (6, r) map from pixel differences to the rigid motion that explains most of them.

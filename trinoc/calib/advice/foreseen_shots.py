@@ -200,7 +200,8 @@ def point_sigma_px(problem: Problem) -> Float[np.ndarray, "c"]:
 def _pose_candidates(
     problem: Problem, candidates: list[Candidate], sigma_px: np.ndarray
 ) -> Problem:
-    """Problem whose shots are the candidates, with every board point observed at pixel (0, 0).
+    """Problem whose shots are the candidates, with (0, 0) as the observed pixel of every board
+    point.
 
     Its residuals are therefore the predicted pixels.
     """

@@ -183,8 +183,8 @@ def covariance_of_difference(
 def _squared_mahalanobis(
     difference: Float[np.ndarray, "f"], covariance: Float[np.ndarray, "f f"]
 ) -> tuple[int, float]:
-    """Number of directions in which two halves can differ, and the squared Mahalanobis distance in
-    them.
+    """Number of directions in which the rigs of two halves can differ, and squared Mahalanobis
+    distance between the rigs in these directions.
 
     Directions that a common prior fixes are omitted.
     """
@@ -198,7 +198,8 @@ def _squared_mahalanobis(
 def find_steps_to_half(problem: Problem, end: Problem) -> np.ndarray:
     """Difference between two solutions in local coordinates, (h,): `end` minus `problem`.
 
-    It contains lenses, cameras and board poses in a set. The entries of the board shape are 0.
+    It contains the changes of lenses, camera poses, and board poses in their set. The entries of
+    the board shape are 0.
     """
     parametrization, lenses = problem.parametrization, range(problem.parametrization.lens_shape[0])
     whole_lenses, half_lenses = (
@@ -233,8 +234,8 @@ def _motions(
 
 
 def shared_parameter_names(problem: Problem, cameras: tuple[str, ...]) -> list[str]:
-    """Names of all parameters that the shots have in common: lenses, cameras, boards in a set,
-    sheets.
+    """Names of all parameters that the shots have in common: lenses, camera poses, relative poses
+    of boards that are fixed to each other, and print and bend of the boards.
 
     Displacements of single board points are omitted.
     """

@@ -32,9 +32,9 @@ class NextShot(NamedTuple):
     world_from_board : (3, 4) pose of the board, mm.
     parameter : name of the lens parameter whose sigma would shrink most; None if all lenses are
         fixed.
-    error_now_px : largest prediction error over all candidate shots: root mean square pixel error
-        of a shot's board points due to errors of lenses and cameras, with the board pose fitted to
-        them.
+    error_now_px : present prediction error in the worst candidate shot. The prediction error is the
+        root mean square pixel error of the shot's board points that errors of lenses and cameras
+        cause, after the board pose was fitted to these points.
     error_then_px : `error_now_px` after this shot was added.
     sigma_now, sigma_then : standard deviations of the lens parameters, by name, before and after
         the shot; infinite if undetermined.
@@ -79,7 +79,8 @@ class _BestShot(NamedTuple):
     ----------
     shot : the candidate.
     covariance : (f, f) covariance of lenses, cameras and board after the shot.
-    error_now_px, error_then_px : largest prediction error over all candidates, before and after it.
+    error_now_px, error_then_px : prediction error in the worst candidate, before and after the
+        shot, as in `NextShot`.
     """
 
     shot: ForeseenShot
@@ -198,7 +199,11 @@ def _best_shot(
 
 
 def shot_error_px(shot: ForeseenShot, covariance: Float[np.ndarray, "f f"]) -> float:
-    """Root mean square pixel error of the points of a shot, for a rig with this covariance."""
+    """Root mean square pixel error of a shot's board points that errors of lenses, cameras and
+    board cause.
+
+    covariance : (f, f) covariance of these errors.
+    """
     variance = float(np.sum(shot.information * covariance))
     return shot.sigma_px * float(np.sqrt(max(variance, 0.0) / shot.point_count))
 

@@ -44,8 +44,8 @@ class DeterminedPart(NamedTuple):
     Attributes
     ----------
     rank : number of determined directions.
-    covariance : (k, k) covariance in the determined directions (pseudo-inverse in scaled
-        coordinates, the inner constraints of a free network); 0 in the others.
+    covariance : (k, k) covariance of the parameters, with variance 0 in undetermined directions
+        (pseudo-inverse of the information in scaled coordinates).
     gauge : description of the undetermined directions, such as the scale of the rig; empty if there
         are none.
     """
@@ -86,10 +86,11 @@ def determined_part(
 def _units(
     information: Float[np.ndarray, "k k"], sheet_information: Float[np.ndarray, "k k"]
 ) -> Float[np.ndarray, "k k"]:
-    """Units in which directions of the camera parameters are compared, as columns, (k, k).
+    """Matrix, (k, k), whose columns are changes of the k camera parameters that count as equally
+    large.
 
-    For parameters with a calibration prior, each column is a change of one prior sigma. The other
-    columns change one parameter each.
+    For parameters with a calibration prior, each column is a change of one prior sigma. Each other
+    column changes one parameter by its sigma for exact other parameters.
     """
     units = np.diag(1 / _positive_root(np.diag(information)))
     has_prior = np.flatnonzero(np.diag(sheet_information) > 0)

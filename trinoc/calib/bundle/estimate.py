@@ -165,8 +165,8 @@ def joint_estimate(
 def squared_distances_with_rig(
     rig: Rig, lines: LineObservations, free_parameters: FreeParameters
 ) -> Float[np.ndarray, "t v"]:
-    """Squared distance, (t, v), of each fragment from the line that its track determines with a
-    rig.
+    """Squared distance, (t, v), of each fragment from the line triangulated from its track, for
+    given cameras.
 
     The unit is squared sigmas of the fragment. Infinite if a distance cannot be computed.
     """
@@ -178,8 +178,8 @@ def squared_distances_with_rig(
 
 
 def _pad_tracks(lines: LineObservations) -> tuple[FragmentTable, Float[np.ndarray, "t 2 3"]]:
-    """Fragments and initial lines of all tracks, padded to few different lengths for compiled
-    programs.
+    """Fragments and initial lines of all tracks. The number of tracks is padded, so that compiled
+    programs are reused.
     """
     is_observed = lines.seen[:, :, None, None]
     # Unobserved fragments may contain anything: replace them by values with finite derivatives.

@@ -125,7 +125,7 @@ def line_from_two_views(
 
 
 class PriorEquations(NamedTuple):
-    """Normal equations of the calibration prior at some cameras.
+    """Normal equations of the calibration prior, evaluated at given camera parameters.
 
     Attributes
     ----------

@@ -34,20 +34,21 @@ class RefineResult(Displayable, Value):
     rig : refined cameras, with `parameters` and `covariance` if all parameters are determined.
     parameters : names of the refined parameters, such as "upper.pan_deg".
     values : (p,) values of `parameters`, in degrees, mm and px.
-    covariance : (p, p) covariance of `parameters`. If some directions are undetermined, it is that
-        of the inner constraints (pseudo-inverse).
-    lines : 3-D segment of each track, with independent errors and errors from the cameras.
+    covariance : (p, p) covariance of `parameters`. Undetermined directions contribute no variance
+        (pseudo-inverse, as with inner constraints).
+    lines : 3-D segment of each track, with its covariance. The errors have two parts: from the
+        noise of its images, and from the cameras, whose errors all segments share.
     inlier : (t, v) whether each fragment (part of a detected segment) agrees with its refined line.
     distance_sigma : (t, v) distance of each fragment from the image of its line, in sigmas; NaN if
-        unobserved.
+        the track is not observed in the view.
     rank : number of determined directions of the camera parameters.
     gauge : description of the undetermined directions, such as the scale of the rig; empty if there
         are none.
     segment_sigma_factor : estimated noise of the segments divided by their stated sigmas.
-    sheet_sigma_factor : estimated error of the calibration divided by its stated sigmas.
+    sheet_sigma_factor : estimated error of the given calibration divided by its stated sigmas.
     sheet_chi_square : squared Mahalanobis distance between refined and calibrated cameras, with the
         covariance of the calibration.
-    chi_square : robust cost at the end, and at the start.
+    chi_square : value of the robust cost at the end of the refinement, and at its start.
     log_posterior : log posterior of cameras and tracks, relative to the calibrated cameras without
         tracks. It compares different matches of the same segments.
     history : log posterior after each accepted round of matching, in order.

@@ -156,12 +156,12 @@ def _chi_square_gain(
 def with_estimated_prior(problem: Problem, prior: ShapePrior) -> tuple[Problem, ShapePrior]:
     """Estimate the variances of the shape prior and the sigmas of the points, and fit with them.
 
-    Both are estimated from the residuals, in turn with the fit. Returns the fitted problem and the
-    prior.
+    The estimates come from the residuals. Estimation and fit are repeated until the prior no longer
+    changes. Returns the fitted problem and the prior.
 
-    Errors that all points of a shot have in common make the shots disagree by a variance factor F.
-    The prior information is then multiplied by F. Otherwise few shots that agree by chance would be
-    mistaken for the shape of the board.
+    If all points of a shot have common errors, the variance between the shots is F times that
+    expected from the point sigmas. The information of the shape prior is then multiplied by F.
+    Otherwise errors that few shots share by chance would be mistaken for the shape of the board.
     """
     factor = np.inf
     for _ in range(_MOST_UPDATES):
@@ -184,10 +184,10 @@ def with_estimated_prior(problem: Problem, prior: ShapePrior) -> tuple[Problem, 
 
 
 def shape_covariance(problem: Problem) -> tuple[float, Float[np.ndarray, "m m"]]:
-    """Variance factor of the shots, and posterior covariance of all board point displacements,
-    mm^2.
+    """Variance factor F of the scatter between the shots, and posterior covariance of all board
+    point displacements, mm^2.
 
-    The covariance is multiplied by the variance factor.
+    The covariance is multiplied by F. F is 1 if the point sigmas explain the scatter.
     """
     count, unit_mm = 3 * len(problem.target), float(problem.parametrization.unit_mm)
     information = compute_information(problem)

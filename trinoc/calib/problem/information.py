@@ -23,9 +23,9 @@ from trinoc.numerics.small_matrices import inverse_positive_definite
 class Information(NamedTuple):
     """Fisher information of the shots about the shared parameters of a calibration.
 
-    The h shared parameters are those of lenses, camera poses, board poses in a set, and board
-    shape, in local coordinates. The pose of the board in each of the s shots is eliminated (Schur
-    complement).
+    The h shared parameters are those of lenses, camera poses, relative poses of boards that are
+    fixed to each other, and board shape, in local coordinates. The pose of the board in each of the
+    s shots is eliminated (Schur complement).
 
     Attributes
     ----------
@@ -166,8 +166,8 @@ class WhitenedViews(NamedTuple):
 
 
 def whiten_views(problem: Problem) -> WhitenedViews:
-    """Compute whitened residuals and their dense Jacobian. Only for problems of few
-    observations.
+    """Compute whitened residuals and their dense Jacobian. The Jacobian is large, so only for
+    problems of few observations.
     """
     columns, jacobian, residual = (
         np.asarray(part)[: len(problem.views)]

@@ -121,8 +121,9 @@ def measure_corrections(problem: Problem) -> list[LensCorrection]:
 def _with_estimated_sigmas(problem: Problem) -> Problem:
     """Estimate the prior sigma of each spline correction by maximum evidence, and fit with it.
 
-    In each iteration, the new variance of the prior is the sum of the squared control points (for a
-    sigma of 1 px), divided by the effective number of control points that the shots determine.
+    In each iteration, the new prior variance, px^2, is the chi-square of the control points under a
+    prior with a sigma of 1 px, divided by the effective number of control points that the shots
+    determine.
 
     References
     ----------
@@ -144,14 +145,15 @@ def _with_estimated_sigmas(problem: Problem) -> Problem:
 def assess_corrections(
     problem: Problem, sigma_px: Float[np.ndarray, "l"]
 ) -> tuple[Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
-    """Evaluate the spline correction of each lens at the end of a fit.
+    """Size of the spline correction of each lens, and number of its control points that the shots
+    determine.
 
     sigma_px : (l,) prior sigmas of the fit; 0 for a lens without a correction.
 
     Returns
     -------
-    Chi-square of the control points under a prior sigma of 1 px, (l,), and effective number of
-    control points that the shots determine, (l,).
+    Size: chi-square of the fitted control points under a prior with a sigma of 1 px, (l,). Number:
+    effective number of control points that the shots, and not the prior, determine, (l,).
     """
     information = compute_information(problem)
     covariance = np.nan_to_num(information.observability.covariance)

@@ -166,7 +166,8 @@ def smooth_pattern_px(
     ----------
     residuals : (m, 2) residuals of each image, px.
     board_mm : (m, 2) positions of these points on the board.
-    named_ratio : ratio to the expectation under noise below which noise explains the pattern.
+    named_ratio : noise explains the pattern if its sum of squares is below this multiple of the
+        expectation under noise.
     """
     explained, unexplained, freedom, count = 0.0, 0.0, 0, 0
     for image_residuals, points in zip(residuals, board_mm, strict=True):

@@ -46,7 +46,7 @@ def find_unsynchronised_images(problem: Problem) -> list[UnsynchronisedImage]:
     """Find the images that were taken at another moment than the rest of their shot.
 
     As long as the images of a shot disagree, the image is removed without which the others agree
-    best. Sets of boards, and shots seen by one camera, are not tested.
+    best. Problems with several boards, and shots with one image, are not tested.
 
     problem : problem at the end of a robust fit.
     """
@@ -104,8 +104,8 @@ def _excesses(
     """Images of each shot with several cameras, and a function that computes the excess of images.
 
     The excess is the reduction of chi-square, per degree of freedom, if each image had its own
-    board pose. The function takes indices of images of one shot. The dictionary is empty for sets
-    of boards.
+    board pose. The function takes indices of images of one shot. The dictionary is empty for a
+    problem with several boards.
     """
     if len(problem.state.set_from_board):
         return {}, lambda _: 0.0

@@ -30,8 +30,8 @@ class FitOutcome(NamedTuple):
         shape).
     covariance : (f, f) covariance of the f estimated shared parameters; 0 in undetermined
         directions. It contains `variance_factor`.
-    variance_factor : variance of the noise that the shots show, relative to that of the point
-        sigmas; 1 unless significantly larger.
+    variance_factor : noise variance estimated from the scatter between the shots, divided by the
+        variance that the point sigmas state; 1 unless significantly larger.
     """
 
     status: Status
@@ -41,8 +41,8 @@ class FitOutcome(NamedTuple):
 
 
 def assess_fit(fit: RobustFit) -> FitOutcome:
-    """Determine status and covariance of a fit. The covariance is enlarged if the
-    shots disagree.
+    """Determine status and covariance of a fit. The covariance is enlarged if the scatter between
+    the shots exceeds the point sigmas.
     """
     information = compute_information(fit.problem)
     if fit.lenses_fixed:
@@ -61,11 +61,11 @@ def assess_fit(fit: RobustFit) -> FitOutcome:
 
 
 def with_gradients_after_step(information: Information) -> Information:
-    """Information whose gradients are, to first order, those after a fit of all estimated
-    parameters.
+    """Information with the gradients that the shots have after one Gauss-Newton step of all
+    estimated parameters.
 
-    In a fit with some parameters fixed, the gradients of the shots do not sum to zero. Their sum
-    shows the offset of the fixed parameters, not the scatter of the shots.
+    If a fit fixed some of these parameters, the gradients do not sum to zero before this step.
+    Their sum shows the offset of the fixed parameters, not the scatter of the shots.
     """
     free = information.free
     covariance = np.nan_to_num(information.observability.covariance)
@@ -77,8 +77,8 @@ def with_gradients_after_step(information: Information) -> Information:
 def exact_prior_information(information: Information) -> Float[np.ndarray, "f f"]:
     """Information of the priors without that of the board point displacements, (f, f).
 
-    The prior of the displacements was estimated from the residuals. It is therefore enlarged with
-    their variance factor.
+    Only these priors keep their variance if the noise variance is multiplied by a factor. The prior
+    of the displacements was estimated from the residuals, so its variance changes with theirs.
     """
     is_exact = information.free < information.first_shape_step
     return information.prior * np.outer(is_exact, is_exact)
@@ -90,7 +90,9 @@ def blend_with_jackknife(
     information: Information,
     factor: float,
 ) -> Float[np.ndarray, "f f"]:
-    """Covariance of a fit whose shots disagree: weighted mean of two estimates.
+    """Covariance of a fit whose shots scatter more than the point sigmas explain.
+
+    It is a weighted mean of two estimates.
 
     The first estimate is F C: covariance C times variance factor F. F is the same in all
     directions. In reality, a board that bends differently in every shot, for instance, changes
@@ -101,7 +103,7 @@ def blend_with_jackknife(
 
         (p F C + (S - 1) J) / (p + S - 1)
 
-    enlarged : (f, f) F C, in which the exact priors are not enlarged.
+    enlarged : (f, f) F C, computed with unchanged priors (`enlarge_covariance`).
     covariance : (f, f) C.
     factor : F.
     """

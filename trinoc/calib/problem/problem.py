@@ -54,9 +54,11 @@ class Problem(NamedTuple):
 
     @property
     def slices(self) -> ParameterSlices:
-        """Index range of each kind of unknown in the vector of shared parameters.
+        """Index range of each kind of parameter (lenses, cameras, ...) in the vector of shared
+        parameters.
 
-        Shared parameters are those of lenses, camera poses, board poses in a set, and board shape.
+        Shared parameters are those that all shots have in common: lenses, camera poses, relative
+        poses of boards that are fixed to each other, and board shape.
         """
         return self.parametrization.slices
 
@@ -101,8 +103,8 @@ class SolvedProblem(NamedTuple):
     problem : the problem at its solution.
     covariance : (f, f) covariance of the f estimated shared parameters (lenses, cameras, board
         shape).
-    variance_factor : variance of the noise that the shots show, relative to that of the point
-        sigmas. The covariance contains it.
+    variance_factor : noise variance estimated from the scatter between the shots, divided by the
+        variance that the point sigmas state. The covariance contains it.
     """
 
     problem: Problem

@@ -206,12 +206,14 @@ def is_refuted(p_value: float, tests: int, limit: float = TUNING.answer.chance) 
 def score_of_fixed(
     information: Information, fixed: Bool[np.ndarray, "f"]
 ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
-    """Information, gradient and total information of fixed parameters, as in `FixedScore`.
+    """Information, (k, k), gradient, (k,), and total information, (k,), of k tested parameters.
+
+    They are the fields of `FixedScore`.
 
     The prior of the board is excluded, so that a test is valid for any board.
 
-    information : information of the shots, with the tested parameters among the `information.free`.
-    fixed : (f,) mask of `information.free` that is tested; the others are eliminated.
+    information : information of the shots. Its estimated parameters include the tested ones.
+    fixed : (f,) which of the parameters `information.free` are tested; all others are eliminated.
     """
     rows = information.free
     total = information.shot_information.sum(axis=0)[np.ix_(rows, rows)]
@@ -262,7 +264,7 @@ def score_of_residuals(
 def rao_test(information: Information, tested: Bool[np.ndarray, "f"]) -> RaoTest:
     """Score test of some parameters, as if they had been fixed and all others estimated.
 
-    tested : (f,) mask of `information.free` that is tested.
+    tested : (f,) which of the parameters `information.free` are tested.
     """
     return score_test(*score_of_fixed(information, tested))
 

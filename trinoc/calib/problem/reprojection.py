@@ -32,7 +32,8 @@ class BoardProjection(eqx.Module):
     ----------
     lens : lens of the camera.
     cam_from_rig : pose of the camera.
-    rig_from_board : pose of the board; for a set of boards, pose of the set.
+    rig_from_board : pose of the board; for a set of boards that are fixed to each other, pose of
+        the set.
     set_from_board : pose of the board in its set; None for a single board.
     shape : (w,) print and bend parameters of the board (`AbstractSheet`).
     """
@@ -48,8 +49,8 @@ class BoardProjection(eqx.Module):
     ) -> "BoardProjection":
         """Projection after a small change of its parameters.
 
-        step : (k,) change, in this order: lens, camera pose, board pose in its set, print and bend,
-            board pose in the shot.
+        step : (k,) change, in this order: lens, camera pose, `set_from_board` if it is not None,
+            print and bend of the board, `rig_from_board`.
         """
         terms, unit = len(parametrization.sheet_model.names), parametrization.unit_mm
         poses = [POSE_SIZE] * (2 if self.set_from_board is None else 3)
@@ -178,9 +179,9 @@ class LinearisedObservation(eqx.Module):
     columns : (k,) indices of these parameters in the vector of all shared parameters.
     jacobian : (n, 2, m + 6) derivative with respect to the m parameters and to the 6 of the board
         pose, whether estimated or not.
-    by_points : derivative with respect to board point displacements. Shape (n, 2, 3), each point's
-        own displacement, if the points have independent errors; else (n, 2, k - m), all
-        displacements.
+    by_points : derivative with respect to board point displacements. If the points have independent
+        errors: with respect to the point's own displacement, (n, 2, 3). Otherwise whitening mixes
+        the points: with respect to the displacements of all board points, (n, 2, k - m).
     point : (n,) index of each board point.
     residual : (n, 2) predicted minus observed pixels, in sigmas.
     """
@@ -199,7 +200,9 @@ class LinearisedObservation(eqx.Module):
 
     @property
     def by_all_points(self) -> Float[Array, "n 2 p"]:
-        """Derivative of the residuals with respect to the displacements of all board points."""
+        """Derivative of the residuals with respect to the 3-D displacements of all board points,
+        (n, 2, 3 times the number of board points).
+        """
         is_of_point = self.is_of_point
         if self.by_points.shape[-1] == 3 * is_of_point.shape[1]:
             return self.by_points
@@ -326,8 +329,11 @@ def _residuals(
 
 
 def _whiten(whitening: Float[ArrayLike, "g k k"], columns: Float[ArrayLike, "n 2 c"]) -> Array:
-    """Multiply each column (n, 2) of c columns, in px, by the whitening matrix. The result is in
-    sigmas.
+    """Whiten c columns of pixel coordinates of n points: residuals or derivatives, (n, 2, c).
+
+    Returns the columns in units of sigmas, (n, 2, c).
+
+    whitening : (g, k, k) whitening matrix of each of g groups of points, as in `ObservationTable`.
     """
     grouped = columns.reshape(*whitening.shape[:2], columns.shape[-1])
     # Unused points may lie where the lens has no image.
@@ -339,7 +345,7 @@ def _whiten(whitening: Float[ArrayLike, "g k k"], columns: Float[ArrayLike, "n 2
 def _by_control(
     state: RigState, parametrization: Parametrization, view: ObservationTable
 ) -> Float[Array, "n 2 k"]:
-    """Derivative of the predicted pixels with respect to the control points of a splined lens."""
+    """Derivative of the pixels of n points by the k control coordinates of a splined lens."""
     assert isinstance(state.lenses, AbstractSplinedLens)
     cores = eqx.tree_at(lambda s: s.lenses, state, jax.vmap(lambda lens: lens.core)(state.lenses))
     of_core_px = _residuals(cores, parametrization, view) + view.uv_px

@@ -95,9 +95,9 @@ def anneal(
 ) -> Problem:
     """Fit several times with a robust loss whose width decreases.
 
-    suspects : indices of the observations with the robust loss. The width is a multiple of each
-        observation's own scatter. Default: all observations, with a multiple of their common
-        scatter.
+    suspects : indices of the observations with outliers. Only they have the robust loss, with a
+        width proportional to the scatter of the observation. Default: all observations, with one
+        width proportional to their common scatter.
     first_damping : damping of the first step of each fit.
     """
     for factor in problem.tuning.problem.annealing:
@@ -117,7 +117,7 @@ def fit_without_wrong_points(problem: Problem, suspects: Sequence[int]) -> tuple
 
     No observation is rejected as a whole.
 
-    suspects : indices of the observations with errors above the gate.
+    suspects : indices of the observations whose outliers are removed.
     """
     problem, views = anneal(problem, suspects, LEAST_DAMPING), list(problem.views)
     errors = _used_rows(problem, whitened_errors(problem))
@@ -171,8 +171,8 @@ def fit_points(
 
 
 def whitened_errors(problem: Problem) -> Float[np.ndarray, "v n 2"]:
-    """Predicted minus observed pixels in sigmas, (v, n, 2), padded like the table; 0 for unused
-    points.
+    """Predicted minus observed pixels in sigmas, (v, n, 2), padded like `ObservationTable`; 0 for
+    unused points.
     """
     return np.asarray(_whitened(problem.state, problem.parametrization, problem.table))
 
@@ -230,8 +230,8 @@ def drop_wrong_points(
 
     Returns the problem and the rejected images as (camera index, shot index, median error in px).
     The largest accepted error is a multiple of the scatter of the image. The scatter of an image is
-    limited to between once and a few times that of its camera: a blurred image has more noise, but
-    is not wrong.
+    limited to between 1 and a few times that of its camera: a blurred image has more noise, but is
+    not wrong.
 
     errors : residuals in sigmas. Default: those of the problem's state.
     """

@@ -35,7 +35,8 @@ class ShapePart(NamedTuple):
     ----------
     name : name of the part.
     modes : (3n, w) displacements X, Y, Z of n corners, mm, for a unit amplitude of each of w modes.
-    is_estimated : whether the variance of the amplitudes is estimated from the images, or fixed.
+    is_estimated : whether the variance of the amplitudes is estimated from the images; if not, it
+        is fixed.
     """
 
     name: str
@@ -136,11 +137,11 @@ def shape_prior(
 def _smooth_parts(
     xy_mm: Float[np.ndarray, "n 2"], first: int, total: int
 ) -> dict[str, Float[np.ndarray, "_ _w"]]:
-    """Modes of smooth displacements of one board, by the name of the prior's part.
+    """Modes of smooth displacements of one board, (3 total, w), by the name of the prior's part.
 
-    "height" and "plane" are orthogonal polynomials with a root mean square of 1 mm over the
-    corners. "twist" is a displacement of 1 mm at the corners of the board. "shear" has a unit
-    displacement per unit length.
+    "height" (perpendicular to the board) and "plane" (within it) are orthogonal polynomials of the
+    position, with a root mean square of 1 mm over the n corners. "twist" is the saddle x y, with a
+    height of 1 mm at the corners of the board's outline. "shear" is a shear of 1 within the plane.
 
     xy_mm : positions of the board's n corners.
     first : index of its first corner among the corners of all boards.

@@ -35,8 +35,8 @@ class GreyLevelFit:
 
     Attributes
     ----------
-    points : fitted pixels of each circle and of each piece of the crossed lines, with their
-        information; None after a failure.
+    points : pixel of each circle and of each piece of the sheet's crossed lines, fitted to the grey
+        levels, with the inverse covariance of the pixels; None after a failure.
     quality : light, ink, blur and noise of the image.
     note : sentence with the reason of a failure; None after success.
     is_processed : whether software has sharpened the image.
@@ -97,8 +97,8 @@ class SheetCamera:
 
     @property
     def largest_point_count(self) -> int:
-        """Upper bound of the number of grey-level points: one for each circle and each piece of the
-        lines.
+        """Upper bound of the number of grey-level points: one for each circle and for each piece of
+        the sheet's crossed lines.
         """
         count = 0 if self.grey_level_points is None else len(self.grey_level_points.point_mm)
         return max(len(self.detection) + 4 * LINE_PIECES, count)
@@ -154,7 +154,7 @@ def sheet_problem(
     target: AbstractTarget,
     priors: SheetPriors,
 ) -> Problem:
-    """Build the calibration problem of cameras over one sheet, with its initial values.
+    """Build the calibration problem of cameras that observe one sheet, with its initial values.
 
     Initially the sheet is flat and as drawn. It lies on the plane Z = 0.
     """

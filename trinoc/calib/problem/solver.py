@@ -98,6 +98,9 @@ class AbstractArrowProblem(eqx.Module, Generic[State]):
 class Costs(NamedTuple):
     """Cost of a state, in parts.
 
+    A block is a group of parameters that only its own observations involve, such as those of one
+    line.
+
     Attributes
     ----------
     head : part that depends only on the parameters that all blocks share.
@@ -125,7 +128,7 @@ class AbstractSeparableProblem(AbstractArrowProblem[State]):
         """Cost of a state, in parts."""
 
     def block_costs(self, state: State) -> Float[ArrayLike, "b"]:
-        """Cost of each block, (b,)."""
+        """Part of the cost that belongs to each block of parameters, (b,)."""
         return self.costs(state).blocks
 
     def cost(self, state: State) -> Float[ArrayLike, ""]:
@@ -244,7 +247,7 @@ def _equations(problem: AbstractArrowProblem[State], state: State) -> ArrowEquat
 
 
 class Damping(NamedTuple):
-    """Damping of a Gauss-Newton step.
+    """Damping of a Gauss-Newton step, for shared parameters and blocks as in `ArrowEquations`.
 
     Attributes
     ----------
@@ -257,7 +260,7 @@ class Damping(NamedTuple):
 
 
 class ArrowStep(NamedTuple):
-    """A proposed change of all unknowns.
+    """A proposed change of all unknowns: shared parameters and blocks as in `ArrowEquations`.
 
     Attributes
     ----------

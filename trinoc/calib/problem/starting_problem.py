@@ -41,8 +41,8 @@ def start_problem(
 ) -> Problem:
     """Build the calibration problem of a rig from initial lenses and poses.
 
-    The frame of the rig is that of the first camera, whose pose is fixed. The pose of the first
-    board of a set is fixed, too.
+    The frame of the rig is that of the first camera, whose pose is fixed. If several boards are
+    fixed to each other (a set), the pose of the first board in the set is fixed, too.
 
     Parameters
     ----------
@@ -114,8 +114,8 @@ def _sheet_prior(
     """Prior information of the print scales and warps of all boards, and the mask of the uncertain
     ones.
 
-    The print size has one error, common to all boards of a set, as from one printer. The errors of
-    the scales along X and Y, and the warps, are independent for each board.
+    All boards have one common error of the print size, as from one printer. The errors of the
+    scales along X and Y, and the warps, are independent for each board.
     """
     terms = len(WarpedBoard.names)
     size = np.zeros((terms, terms))

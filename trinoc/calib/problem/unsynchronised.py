@@ -156,9 +156,8 @@ def _with_motion(problem: Problem) -> Problem:
     """Problem in which the motion of the board between exposures correlates the errors of an
     image's points.
 
-    Points are predicted at the board pose of their own image. The motion from the shot's pose to
-    this pose is subtracted from the observed pixels to first order, so that they remain valid for
-    other lenses and cameras.
+    Residuals are linearised at the board pose that fits the image alone. To first order, they are
+    residuals relative to the board pose of the shot, also after lenses and cameras change.
     """
     poses = fit_image_poses(problem)
     motion = _motion_covariance(problem, poses)
@@ -207,11 +206,11 @@ def _correlated_whitening(
     motion: Float[np.ndarray, "6 6"],
 ) -> Float[np.ndarray, "k k"]:
     """Whitening matrix W of an image's points: W^T W is the inverse covariance of noise plus
-    motion.
+    motion. Rows of unused points are 0.
 
-    factor : factor of the detected sigmas.
+    factor : factor by which the detected sigmas are multiplied.
     jacobian_px : derivative of the pixels with respect to the board pose.
-    motion : covariance of the board's motion. Rows of unused points are 0.
+    motion : covariance of the board's motion.
     """
     rows = np.flatnonzero(view.used)
     covariance = np.zeros((2 * len(rows), 2 * len(rows)))

@@ -34,7 +34,8 @@ class RigState(eqx.Module):
     ----------
     lenses : l lenses of one model, stacked along the first axis of their fields.
     cam_from_rig : (c, 3, 4) pose of each camera.
-    rig_from_board : (s, 3, 4) pose of the board in each shot; for a set of boards, pose of the set.
+    rig_from_board : (s, 3, 4) pose of the board in each shot; for a set of boards that are fixed to
+        each other, pose of the set.
     set_from_board : (b, 3, 4) pose of each board in its set; no rows for a single board.
     sheet : (b * w,) print and bend parameters of each board (`AbstractSheet`).
     shape : (p, 3) X, Y and Z displacement of each board point from the position that `sheet`
@@ -79,7 +80,8 @@ class ParameterSlices(NamedTuple):
     ----------
     lenses : `lens_size` parameters of each lens.
     cameras : POSE_SIZE parameters of each camera pose.
-    boards : POSE_SIZE parameters of the pose of each board in its set; none for a single board.
+    boards : POSE_SIZE parameters of the pose of each board relative to the set of boards that are
+        fixed to each other; none for a single board.
     sheets : print and bend parameters of each board.
     points : 3 displacements of each board point.
     lens_size : number of parameters of one lens.
@@ -109,8 +111,9 @@ def _part(section: slice, index: int, size: int) -> slice:
 class Parametrization(eqx.Module):
     """Local coordinates of the unknowns: scales, priors, and the mask of estimated parameters.
 
-    A small change of the unknowns is a vector of h shared parameters (lenses, camera poses, board
-    poses in a set, board shape) and 6 parameters of the board pose of each shot.
+    A small change of the unknowns is a vector of h shared parameters (lenses, camera poses,
+    relative poses of boards that are fixed to each other, board shape) and 6 parameters of the
+    board pose of each shot.
 
     Attributes
     ----------
@@ -124,7 +127,8 @@ class Parametrization(eqx.Module):
     free : (h,) 1 for an estimated shared parameter, 0 for a fixed one.
     boards_free : 1 if the board poses of the shots are estimated, 0 if they are fixed.
     priors : priors of the unknowns.
-    pose_model : local coordinates of camera poses: RIGID, or AIM_FREE over a fixed sheet.
+    pose_model : local coordinates of camera poses: RIGID, or AIM_FREE for cameras that look at a
+        fixed sheet.
     has_circles : whether some board points are circles.
     """
 
@@ -160,9 +164,11 @@ class Parametrization(eqx.Module):
 
     @property
     def slices(self) -> ParameterSlices:
-        """Index range of each kind of unknown in the vector of shared parameters.
+        """Index range of each kind of parameter (lenses, cameras, ...) in the vector of shared
+        parameters.
 
-        Shared parameters are those of lenses, camera poses, board poses in a set, and board shape.
+        Shared parameters are those that all shots have in common: lenses, camera poses, relative
+        poses of boards that are fixed to each other, and board shape.
         """
         lenses, lens_size = self.lens_shape
         sizes = (

@@ -33,11 +33,11 @@ class SheetPoints(NamedTuple):
 
     Attributes
     ----------
-    point_mm : (n, 2) positions on the drawing. If the board moved: (n, 3) positions in the frame of
-        the board.
+    point_mm : (n, 2) positions on the drawing. If the board moved between the images of a shot: (n,
+        3) positions in the frame of the board.
     uv_px : (n, 2) pixels of the points.
-    whitening : (2n, 2n) root R of the information R^T R of all pixel coordinates. The information
-        may be singular; unused rows of R are 0.
+    whitening : (2n, 2n) root R of the information R^T R (inverse covariance) of all pixel
+        coordinates. The information may be singular; unused rows of R are 0.
     """
 
     point_mm: Float[np.ndarray, "*v n _d"]
@@ -79,10 +79,10 @@ class BoardObservation(NamedTuple):
     has_motion_errors: bool = False
 
     def without_motion(self) -> "BoardObservation":
-        """Copy with the detected points and their independent errors, without the errors of board
-        motion.
+        """Copy in which the motion of the board no longer correlates the errors of the points.
 
-        The image can then have its own board pose.
+        It uses the detected points with independent errors, so that a board pose can be fitted to
+        this image alone. Without motion errors, the observation itself is returned.
         """
         return (
             self._replace(grey_level_points=None, has_motion_errors=False)

@@ -46,9 +46,11 @@ def drop_wrong_circles(problem: Problem) -> Problem:
 
 
 def discount_points(points: SheetPoints, rows: np.ndarray) -> SheetPoints:
-    """Points of which some carry no information any more. Their pixels are marginalised out.
+    """Copy of the points in which the pixels of some carry no information.
 
-    rows : indices of the discounted points.
+    These pixels are marginalised out of the joint information of all pixels.
+
+    rows : indices of the points that lose their information.
     """
     size = len(points.whitening)
     removed = np.zeros(size, dtype=bool)
@@ -71,7 +73,7 @@ def _has_grey_level_points(view: BoardObservation) -> bool:
 
 
 def _circles(view: BoardObservation, problem: Problem) -> np.ndarray:
-    """Indices of the grey-level points of an observation that are circles and carry information."""
+    """Indices of those grey-level points of an observation that are circles and that are used."""
     assert view.grey_level_points is not None
     is_circle = find_circles(view.grey_level_points.point_mm, problem.target) != NO_POINT
     return np.flatnonzero(is_circle & view.rows_used)

@@ -352,8 +352,8 @@ class CalibrationResult(Displayable, Value):
 
     @property
     def field_sigma_px(self) -> Float[np.ndarray, "5 5"]:
-        """Standard deviation per axis of the pixel that the only lens predicts for a ray, px, (5,
-        5).
+        """Standard deviation per axis of the pixel that the lens of the only camera predicts for a
+        ray, px, (5, 5).
 
         The grid covers the image from corner to corner. Errors that a rotation of the camera would
         explain are removed. NaN where the lens has no ray, or if the lens is not determined.

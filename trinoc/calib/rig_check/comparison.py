@@ -66,7 +66,7 @@ def compare_rigs(
     *,
     tuning: CalibTuning = TUNING,
 ) -> RigComparison:
-    """Compare a calibration with an earlier one over the same sheet, to find cameras that moved.
+    """Compare a calibration with an earlier one from the same sheet, to find cameras that moved.
 
     The sheet must not have moved in between, since it defines the world.
 

@@ -35,8 +35,8 @@ class CountedTracks(Protocol):
 
     @property
     def share_in_three_views(self) -> float:
-        """Share of a view's segments that are on reliable tracks of three views; smallest of all
-        views.
+        """Fraction of a view's segments that belong to reliable tracks of three views, in the view
+        where this fraction is smallest.
         """
         ...
 
@@ -269,7 +269,7 @@ def _significance(fixed: RefineResult, freed: RefineResult, noise: float) -> flo
     """Significance, in sigmas, of the reduction of chi-square by freeing one more camera.
 
     fixed, freed : refinements before and after.
-    noise : factor of the segments' sigmas, by which both chi-squares are scaled.
+    noise : factor by which the segments' sigmas are multiplied in both chi-squares.
     """
     gain = max(fixed.chi_square[0] - freed.chi_square[0], 0.0) / noise**2
     return sigmas_of_chi_square(gain, len(_pose_rows(freed)) // len(freed.rig))

@@ -280,7 +280,7 @@ class _Agreement(NamedTuple):
     Attributes
     ----------
     motions : the relative poses.
-    agrees : (s,) whether each of s pairs of detections agrees with them.
+    agrees : (s,) whether each of s pairs of detections, one pair per shot, agrees with them.
     """
 
     motions: HandEye

@@ -83,8 +83,8 @@ def _distance_and_misfit(
     slopes: Float[np.ndarray, "m 2"],
     circle_mm: Float[np.ndarray, "m 2"],
 ) -> tuple[Float[np.ndarray, "a"], Float[np.ndarray, "a"]]:
-    """Distance of the sheet that fits its circles best, and the remaining misfit, for each
-    rotation.
+    """For each rotation, least-squares distance of the sheet from its circles, and the squared
+    residuals.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ def link_cameras(
     """
 
     def labellings(one: Sighting, other: Sighting) -> tuple[Pose, ...]:
-        """Poses of the set relative to the first camera that must be tried.
+        """Poses of the board, or set of boards, relative to the first camera that must be tried.
 
         If both cameras see the same board, one labelling of the first is enough, because all
         labellings of the second are tried.

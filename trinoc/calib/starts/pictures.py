@@ -37,8 +37,9 @@ class BoardDetections(NamedTuple):
     detections : detection of each camera (outer key) in each shot (inner key).
     failures : reason for each image (camera, shot) without a detection.
     target : the board as the images show it. Its layout may differ from the given one.
-    remarks : sentences on such a difference.
-    causes : for some cameras, a sentence on an image that shows a board similar to the given one.
+    remarks : sentences on the difference between both layouts; empty if there is none.
+    causes : possible cause of the failures of a camera (key): a sentence that an image shows a
+        board similar to the given one.
     """
 
     shots: tuple[str, ...]
@@ -151,7 +152,7 @@ def find_boards(
 def _unseen_boards(
     target: AbstractTarget, detections: Mapping[str, Mapping[str, Detection]], few_found: bool
 ) -> list[int]:
-    """Indices of the boards of a set that no image shows.
+    """Indices of the boards that no image shows, if the target consists of several boards.
 
     For a single board: [0] if few images show it, else empty.
     """

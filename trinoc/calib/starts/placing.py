@@ -35,7 +35,8 @@ class InitialRig(NamedTuple):
     Attributes
     ----------
     cam_from_rig : (c, 3, 4) pose of each camera.
-    set_from_board : (b, 3, 4) pose of each board of a set; the identity for one board.
+    set_from_board : (b, 3, 4) pose of each board in a set of boards that are fixed to each other;
+        the identity for one board.
     rig_from_board : (s, 3, 4) pose of the board in each shot. An image that shows the board at
         another pose than the rest of its shot is a shot of its own.
     shots : name of each shot.
@@ -173,8 +174,9 @@ def place_rig(
 def move_to_own_shots(
     initial_rig: InitialRig, problem: Problem, views: Sequence[int], cameras: Sequence[str]
 ) -> InitialRig:
-    """Initial rig in which each of some observations has a shot of its own, with a sentence on
-    each.
+    """Copy of an initial rig with one additional shot for each of the given observations.
+
+    It has the names of the additional shots, and in `refused` a sentence on each observation.
 
     views : indices of the observations in `problem.views`.
     """

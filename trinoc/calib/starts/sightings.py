@@ -32,7 +32,7 @@ class Sighting(NamedTuple):
     lens : initial lens of the camera.
     detections : the detection with each labelling.
     cam_from_board : board pose for each labelling.
-    board : index of the board in a set.
+    board : index of the board in a set of boards that are fixed to each other.
     set_from_board : pose of the board in its set; the identity while unknown.
     """
 
