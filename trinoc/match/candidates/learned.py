@@ -97,7 +97,8 @@ def select_pairs_in_region(
 ) -> tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]:
     """Return the pairs (i, j) of segments whose common part in space lies in the box.
 
-    `i` are segments of the first view, `j` segments of the second view.
+    The common part is the part of the line in space that both segments show. `i` are segments of
+    the first view, `j` segments of the second view.
     """
     pair = inputs.view.baseline_mm, inputs.first, inputs.second
 
@@ -144,8 +145,9 @@ class SearchPrior(NamedTuple):
     least_log_odds : float
         Candidates with smaller log odds are discarded.
     ends_px : float or None
-        Limit for the distance between corresponding ends of the two segments of a pair, along the
-        segment. At least one of the two distances must be below the limit. None for no limit.
+        Limit for the distance between the corresponding ends of two segments, measured along the
+        segment. A pair has two such distances; one of them must be below the limit. None for no
+        limit.
     """
 
     region: Region | None
@@ -164,7 +166,8 @@ def likely_triples(
     """Return the triples of one frame whose approximate log odds exceed `prior.least_log_odds`.
 
     The approximation uses the line of the first two segments instead of the fit to all three, and
-    assumes equal polarities. If side levels are known, all triples are returned.
+    assumes equal polarities. If the grey levels beside the segments are known, all triples are
+    returned.
     """
     if np.isfinite(np.asarray(screen[0].sides)).any():
         return triple

@@ -131,9 +131,10 @@ def prior_log_odds(
     mixture: MixtureParameters,
     tuning: EvidenceTuning = DEFAULT.evidence,
 ) -> Float[np.ndarray, "m"]:
-    """Return the log odds of each candidate before rivals and junctions, (m,).
+    """Return the log odds of each candidate from its own evidence, (m,).
 
-    `mixture` has one set of parameters for each frame of a stack.
+    Competing candidates and junctions are not considered. `mixture` has one set of parameters
+    for each frame of a stack.
     """
     c = candidates
     return log_odds(

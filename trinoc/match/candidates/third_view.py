@@ -40,7 +40,8 @@ class Prediction(NamedTuple):
     Attributes
     ----------
     possible : (p,)
-        False for pairs that cannot be one line, or that another pair of the triple replaces.
+        False for pairs that cannot be one line. False also for pairs that are not used, because
+        another pair of the same three segments gives a better prediction.
     u0, v0, u1, v1 : (p,)
         Ends of the predicted segment, undistorted pixels.
     c00, c01, c11 : (p,)

@@ -190,7 +190,7 @@ def cut_fragments(
 
     Returns the fragments (t, v, 2, 2), undistorted pixels, and their covariances (t, v, 4, 4). Both
     are NaN for views without a segment. `ends_here` marks fragment ends that are ends of their
-    segment. Other fragment ends are free along the segment.
+    segment. Other fragment ends get a large variance along the segment.
     """
     tracks, views = index.shape
     fragments = np.full((tracks, views, 2, 2), np.nan)
@@ -388,8 +388,8 @@ def are_consistent(
 ) -> Bool[np.ndarray, "t"]:
     """Return the mask of the tracks whose segments can be images of one line, (t,).
 
-    The misfit must be probable for errors with the tail `noise_tail`. Every segment must also be
-    close to the line, see `are_near`.
+    The misfit must be probable for Student-distributed errors, where `noise_tail` is 1 / degrees of
+    freedom. Every segment must also be close to the line, see `are_near`.
     """
     degrees = 2 * ((tracks.index >= 0).sum(axis=1) - 2)
     significance = chi_square_tail(tuning.candidates.gate, 2)
