@@ -182,7 +182,8 @@ def is_above_chance(
 ) -> bool:
     """True if the rig has significantly more sure or nearly certain tracks than its decoys.
 
-    Decoys have hardly any nearly certain tracks, so a few such tracks of the rig are enough.
+    Decoys (one view mirrored or upside down) have hardly any nearly certain tracks, so a few such
+    tracks of the rig are enough.
     """
     certain_limit = _limit_by_chance(
         [counts.near_certain for counts in decoy_counts], tuning.certain_rule
@@ -194,8 +195,9 @@ def is_above_chance(
 def least_above_chance(counts: Sequence[int], share: float, tuning: DecoyTuning) -> float:
     """Return the smallest number of sure tracks of the rig that is significant against its decoys.
 
-    `counts` are the numbers of sure tracks of the decoys. `share` is the number of sure tracks of
-    the rig over its number of segments. A stricter rule applies to a small share.
+    `counts` are the numbers of sure tracks of the decoys, in which one view is mirrored or upside
+    down. `share` is the number of sure tracks of the rig over its number of segments. A stricter
+    rule applies to a small share.
     """
     return _limit_by_chance(
         counts, tuning.strict_rule if share < tuning.few_share else tuning.usual_rule

@@ -23,7 +23,8 @@ class Candidates(NamedTuple):
     index : (m, v)
         Segment of each view; -1 for views that are not part of the candidate.
     interval : (m, v, 2)
-        Common part on each segment: positions from 0 at its first end to 1 at its second.
+        Common part on each segment (the part of the line that all segments of the candidate show):
+        positions from 0 at its first end to 1 at its second.
     ends_mm : (m, 2, 3)
         Ends of the common part in space, world frame.
     chi_square, log_density, union_ends_mm, union_covariance_mm2, px_per_mm : (m, ...)

@@ -44,7 +44,7 @@ class _Group(NamedTuple):
     segments : frozenset of (view, segment)
         Segments of the tracks.
     common_mm : (k, 2, 3)
-        Ends of the common part of each track.
+        Ends of the part that all segments of a track show, for each track.
     ends_mm, covariance_mm2 : (2, 3) and (6, 6)
         Ends of the line, world frame, and their covariance.
     chi_square, degrees : float and int

@@ -310,7 +310,10 @@ def _common_point(ends: Ends, member_ends: tuple[int, ...], tuning: MatchTuning)
 def _snap_lines(
     joined: JoinedLines, ends: Ends, corners: list[_Corner], free_end_px: float
 ) -> Corners:
-    """Adjust the lines so that the ends at each corner coincide, by constrained least squares."""
+    """Adjust the lines so that the ends at each corner coincide, by constrained least squares.
+
+    `free_end_px` is the standard deviation of where a detector ends an edge, along the edge.
+    """
     lines, covariance = joined.lines_mm.copy(), joined.covariance_mm2.copy()
     rows = [(c, end) for c, corner in enumerate(corners) for end in corner.ends]
     corner_ends = np.array(rows, dtype=np.int64).reshape(-1, 2)

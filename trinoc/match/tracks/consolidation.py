@@ -211,7 +211,8 @@ def _select_trials(
 ) -> list[_Trial]:
     """Build trials from the proposals with the smallest chi-square.
 
-    No two trials have a common track or a common segment.
+    No two trials have a common track or a common segment. `owners` are the tracks of each segment,
+    by (view, segment). `rejected` are the segments of the extended tracks that failed before.
     """
     in_use: set[tuple[int, int]] = set()
     trials = []

@@ -164,16 +164,16 @@ FREE_PX = 1e4
 def view_ends_line(
     inputs: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Bool[np.ndarray, "t v 2"]:
-    """Return the mask of the view whose segment ends at each of a line's two ends, (t, v, 2)."""
+    """Mark, for each of a line's two ends, the view whose segment ends there, (t, v, 2)."""
     return view_bounds_span(segment_extents(inputs, index, ends_mm), np.array([0.0, 1.0]))
 
 
 def view_bounds_span(
     extents: Float[np.ndarray, "t v 2"], span: Float[np.ndarray, "*t 2"]
 ) -> Bool[np.ndarray, "t v 2"]:
-    """Return the mask of the view whose segment ends nearest to each end of `span`, (t, v, 2).
+    """Mark, for each end of an interval, the view whose segment ends nearest to it, (t, v, 2).
 
-    `span` is an interval of each line. `extents` are the intervals of the segments along each line.
+    `span` is the interval on each line. `extents` are the intervals of the segments on each line.
     """
     distance = np.abs(extents - np.expand_dims(span, -2))
     nearest = np.nanargmin(distance, axis=1) if len(extents) else np.zeros((0, 2), dtype=np.int64)

@@ -102,7 +102,7 @@ class PencilSegments(NamedTuple):
 
     @property
     def slope_variance(self) -> Vector3:
-        """Variances and covariance (c00, c01, c11) of the slopes at the angles `low` and `high`.
+        """Variances and covariance (c00, c01, c11) of the slopes of the rays at `low` and `high`.
 
         The values follow from the errors of the ends across the segment.
         """
