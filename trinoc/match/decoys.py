@@ -48,16 +48,18 @@ MatchFrame = Callable[..., Matches]
 
 
 class SureTracks(NamedTuple):
-    """Numbers of reliable tracks in three views, for the rig or for one decoy.
+    """Numbers of sure tracks in three views, for the rig or for one decoy.
 
-    Posteriors are computed here without the reduction for repeated patterns.
+    A decoy is the same set of segments with one view mirrored or upside down. The sure tracks of a
+    decoy show how many tracks are sure by chance. The posteriors are those before the reduction for
+    repeated patterns.
 
     Attributes
     ----------
     three_view : int
-        Number of sure tracks in three views.
+        Number of sure tracks in three views: posterior above `DecoyTuning.sure_posterior`.
     near_certain : int
-        Number of tracks with a posterior near 1.
+        Number of tracks with a posterior above `DecoyTuning.certain_posterior`.
     """
 
     three_view: int
@@ -74,10 +76,10 @@ def check_set(
 ) -> Matches:
     """Return the matches, with the status SUSPECT if segments and rig do not belong together.
 
-    The status is SUSPECT in three cases. Decoys have about as many sure lines as the rig. The
-    correction of a mistake, such as a shifted image, gives far more lines or much smaller errors.
-    Few segments are sure, with large errors. A decoy is the same set of segments with one view
-    mirrored or upside down.
+    A sure line is a track with a posterior above 0.9. A decoy is the same set of segments with one
+    view mirrored or upside down. The status is SUSPECT in three cases. Decoys have about as many
+    sure lines as the rig. The correction of a mistake, such as a shifted image, gives far more sure
+    lines or much smaller errors. Few segments are on sure lines, and the errors are large.
 
     Parameters
     ----------
@@ -150,10 +152,10 @@ def _tracks_in_three(matches: Matches, frame: FrameInput) -> Int[np.ndarray, "t 
 def count_by_chance(
     frame: FrameInput, sure: SureTracks, share: float, match: MatchFrame, tuning: DecoyTuning
 ) -> list[SureTracks]:
-    """Match decoys of the frame, and return the numbers of sure tracks of each decoy.
+    """Match decoys (one view mirrored or upside down), and return each decoy's sure tracks.
 
-    No further decoy is matched once the rig clearly has more sure tracks than chance gives. `share`
-    is the number of sure tracks over the number of segments.
+    No further decoy is matched once the rig clearly has more sure tracks than chance gives. `sure`
+    are the sure tracks of the rig, `share` their number over the number of segments.
     """
     decoy_counts = []
     for decoy in decoys(frame):
@@ -171,7 +173,7 @@ def _note_of_set(sure: SureTracks, decoy_counts: Sequence[SureTracks], cause: st
 
 
 def count_sure(matches: Matches) -> SureTracks:
-    """Return the numbers of sure and of nearly certain tracks of a result."""
+    """Return the numbers of sure and of nearly certain tracks in three views, see `SureTracks`."""
     return SureTracks(matches.counts[SURE], matches.counts[CERTAIN])
 
 
@@ -180,7 +182,8 @@ def is_above_chance(
 ) -> bool:
     """True if the rig has significantly more sure or nearly certain tracks than its decoys.
 
-    Decoys have hardly any nearly certain tracks, so a few such tracks of the rig are enough.
+    Decoys (one view mirrored or upside down) have hardly any nearly certain tracks, so a few such
+    tracks of the rig are enough.
     """
     certain_limit = _limit_by_chance(
         [counts.near_certain for counts in decoy_counts], tuning.certain_rule
@@ -192,8 +195,9 @@ def is_above_chance(
 def least_above_chance(counts: Sequence[int], share: float, tuning: DecoyTuning) -> float:
     """Return the smallest number of sure tracks of the rig that is significant against its decoys.
 
-    `counts` are the numbers of sure tracks of the decoys. `share` is the number of sure tracks of
-    the rig over its number of segments. A stricter rule applies to a small share.
+    `counts` are the numbers of sure tracks of the decoys, in which one view is mirrored or upside
+    down. `share` is the number of sure tracks of the rig over its number of segments. A stricter
+    rule applies to a small share.
     """
     return _limit_by_chance(
         counts, tuning.strict_rule if share < tuning.few_share else tuning.usual_rule
@@ -227,8 +231,8 @@ def find_cause(
     """Return the sentence on the mistake that best explains a bad result, or None if none does.
 
     Shifted images are always tested. With `all_kinds`, exchanged, turned and resized images are
-    tested too. A mistake explains the result if its correction gives far more sure lines. As many
-    lines with much smaller errors are also enough.
+    tested too. A mistake explains the result if its correction gives far more sure lines
+    (posterior above 0.9). As many sure lines with much smaller errors are also enough.
     """
     sample = take_longest(frame, tuning.sample_size)
 
@@ -264,8 +268,8 @@ def _as_suspect(
 ) -> Matches:
     """Return the matches with the status SUSPECT and with reduced posteriors.
 
-    All posteriors are multiplied by the share of sure tracks above the number by chance, at most
-    0.5.
+    All posteriors are multiplied by one factor: the share of the sure tracks that exceeds the mean
+    number of the decoys, at most 0.5.
     """
     mean_by_chance = (
         np.mean([counts.three_view for counts in decoy_counts]) if decoy_counts else 0.0

@@ -62,18 +62,19 @@ def match_segments(
         Smallest and largest depth in front of every camera that shows a line. Default: any positive
         depth.
     verify : "full", "quick" or "off"
-        Test whether the segments of three views belong to the rig. "quick" compares doubtful sets
-        with chance, in a fraction of the matching time. "full" also searches for the mistake in a
-        SUSPECT or very doubtful set, with up to 30 matchings of the longest segments. "off" tests
-        nothing.
+        Test whether the segments of three views belong to the rig. If few segments match, "quick"
+        compares their number with chance, in a fraction of the matching time. "full" also searches
+        for the mistake if the status is SUSPECT or very few segments match. It then matches the
+        longest segments up to 30 times. "off" tests nothing.
     tuning : MatchTuning
         All tuned constants of the method.
 
     Returns
     -------
     Matches
-        `posterior` is the probability of each match, `rival_posterior` that of its best rival.
-        `reasons` contains the reason why a segment has no match.
+        `posterior` is the probability of each match. `rival_posterior` is that of its best rival,
+        another match that uses the same part of a segment. `reasons` contains the reason why a
+        segment has no match.
 
     Raises
     ------
@@ -126,8 +127,8 @@ def check_rig_consistency(
 ) -> Matches:
     """Return the matches, with the status SUSPECT if the segments do not belong to the rig.
 
-    The number of sure tracks is compared with that of decoys, see `check_set`. `names` is the
-    caller's sequence of views.
+    The number of sure tracks is compared with that of decoys: the same segments with one view
+    mirrored or upside down. See `check_set`. `names` is the caller's sequence of views.
     """
 
     def match(frame: FrameInput, *, three_views_only: bool = False) -> Matches:

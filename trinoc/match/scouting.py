@@ -91,8 +91,8 @@ def _learn_prior(
 ) -> SearchPrior | None:
     """Estimate the restrictions of the search from the triples of a sample.
 
-    The result is None if too few of these triples are sure. `count` is the number of segments per
-    view.
+    The result is None if too few of these triples have a posterior above 0.9. `count` is the number
+    of segments per view.
     """
     rules = tuning.scouting
     selection = select(candidates, float(rules.sample_size), neighbours=False, tuning=tuning)
@@ -120,10 +120,11 @@ def _find_unexplained(
     search_prior: SearchPrior,
     tuning: MatchTuning,
 ) -> list[Bool[np.ndarray, "_"]]:
-    """Return the mask of the segments in each view of which likely candidates use only a part, or
-    none.
+    """Return, for each view, the mask of the segments that likely candidates use too little.
 
-    A candidate is likely if its posterior under the exclusion of rivals is large.
+    The used share of the length must exceed `explained_share`; without the limit
+    `search_prior.ends_px`, any used part is enough. A candidate is likely if its posterior is
+    large. Candidates that use the same part of a segment exclude each other.
     """
     odds = prior_log_odds(candidates, search_prior.mixture, tuning.evidence)
     rules = tuning.selection

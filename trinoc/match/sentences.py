@@ -132,7 +132,8 @@ CHECK_THE_SET = (
 def rig_has_changed(sure: int, segments: int, noise_scale: float) -> str:
     """Return the warning that a camera was probably moved.
 
-    The evidence is that only `sure` of `segments` segments are sure, with large errors.
+    The evidence is that only `sure` of `segments` segments have a track with a posterior above 0.9
+    in three views, and that the errors are large.
     `noise_scale` is the estimated sigma of the segments over the stated one.
     """
     return (
@@ -149,7 +150,7 @@ def most_likely_mistake(description: str, corrected: int, uncorrected: int) -> s
     """Return the sentence that names the mistake that was probably made.
 
     `description` is the clause of the mistake. `corrected` and `uncorrected` are the numbers of
-    sure lines with and without its correction, for a sample of the segments.
+    sure lines (posterior above 0.9) with and without its correction, for a sample of the segments.
     """
     return (
         f"Probably {description}: a sample of the segments gives {uncorrected} sure lines, and "
@@ -296,7 +297,7 @@ def sure_lines(tracks: int, share: float, posterior: float) -> str:
 def too_few_sure_lines(required: int) -> str:
     """Return the advice that follows if there are too few sure lines.
 
-    `required` is the smallest number of sure lines.
+    A line is sure if its posterior is above 0.9. `required` is the smallest number of sure lines.
     """
     return (
         f"At least {required} sure lines are needed. Check that this rig took these images of one "
@@ -318,8 +319,8 @@ CHECK_THE_ERRORS = (
 def sigma_of_lines(count: int, extent: str) -> str:
     """Return the explanation of the median sigma of the sure lines.
 
-    `count` is the number of sure lines. `extent` is the diameter of a ball with nine tenths of
-    their ends, as text with unit.
+    `count` is the number of sure lines (posterior above 0.9). `extent` is the diameter of
+    a ball with nine tenths of their ends, as text with unit.
     """
     return (
         f"this is the median sigma perpendicular to the {count} sure lines. Nine tenths of their "

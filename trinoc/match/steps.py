@@ -44,7 +44,7 @@ class StepResult(NamedTuple):
 
 
 class StepInput(NamedTuple):
-    """Inputs of all steps: the arguments of `improve` with these names. `images` is `pictures`."""
+    """Inputs of all steps: arguments of `improve`, where `images` is called `pictures`."""
 
     rig: Rig
     images: Mapping[str, Shaped[np.ndarray, "..."]]

@@ -86,7 +86,7 @@ def find_segments(
         are then in undistorted pixels.
     response : str, float or AbstractResponse
         Response of the camera, grey level against light. "linear" is typical of industrial cameras,
-        "srgb" of nearly all others. A number is the bend between them: 0 for linear, 1 for sRGB.
+        "srgb" of nearly all others. A number interpolates between them: 0 for linear, 1 for sRGB.
         Edges are detected in the grey levels and located in the light, because a nonlinear response
         moves a blurred edge toward its darker side.
     tuning : SegmentTuning
@@ -231,7 +231,7 @@ def _undistort(
 ) -> tuple[FittedLines, Bool[np.ndarray, "r"], Callable[[np.ndarray], np.ndarray]]:
     """Fit the lines to undistorted edge points.
 
-    Returns (lines, mask of lines with enough points inside the fold of the lens, mapping from
+    Returns (lines, mask of lines with enough points where the lens is invertible, mapping from
     undistorted to image pixels).
     """
     all_lines = np.ones(len(runs.count), dtype=bool)
@@ -273,9 +273,10 @@ def _is_wanted(
 def _place_ends(
     lines: FittedLines, tuning: SegmentTuning
 ) -> tuple[Float[np.ndarray, "r 2 2"], Float[np.ndarray, "r 2"], NearEnds]:
-    """Move each end near a crossing with another line to the crossing.
+    """Place the ends of each line: at the crossing with another line, if one is near.
 
-    Returns (ends, their standard deviations along the line, pairs of ends and nearby lines).
+    Other ends stay at the last edge point. Returns (ends, their standard deviations along the line,
+    the pairs of an end and a nearby line that were tested).
     """
     pieces = lines.pieces
     near_ends = lines_near_ends(pieces, tuning.ends.snap_px)

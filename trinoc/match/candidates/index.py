@@ -76,7 +76,7 @@ class Grid(NamedTuple):
     Attributes
     ----------
     sigma_px : ()
-        Typical standard deviation of a segment across itself.
+        Typical standard deviation of a segment's position, perpendicular to the segment.
     cell_px : (l,)
         Side of the cells of each layer.
     columns, rows : (l,)
@@ -140,7 +140,7 @@ def spatial_index(
     cell_px : float or (f,)
         Side of the cells of a layer with `cell_scale` 1.
     sigma_px : float or (f,)
-        Typical standard deviation of a segment across itself.
+        Typical standard deviation of a segment's position, perpendicular to the segment.
     frame : (n,), optional
         Frame of each segment in a stack. Each frame has its own cells.
     layers : tuple of IndexLayer
@@ -272,7 +272,7 @@ def _cells_near_segments(
 
 
 def layers_of_grid(grid: Grid) -> tuple[IndexLayer, ...]:
-    """Return the layers that `grid` was built with, identified by their number."""
+    """Return the layers that `grid` was built with, inferred from their number."""
     return LAYERS if np.shape(grid.cell_px)[-1] == len(LAYERS) else CROWDED_LAYERS
 
 

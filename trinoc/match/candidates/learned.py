@@ -70,9 +70,10 @@ def bound_region(ends_mm: Float[np.ndarray, "m 2 3"], tuning: ScoutTuning) -> Re
 class RegionOfPencil(NamedTuple):
     """Box in space, in the frame of a pencil of epipolar planes.
 
-    In this frame, a point is radius * ray with ray = (slope, cos(phi), sin(phi)). `radius` is its
-    distance from the baseline, phi the angle of its epipolar plane. The point is in the box if low
-    / radius < axes @ ray < high / radius.
+    The pencil consists of all planes through the centres of two cameras. In this frame, a point is
+    radius * ray with ray = (slope, cos(phi), sin(phi)). `radius` is its distance from the baseline,
+    phi the angle of its epipolar plane. The point is in the box if low / radius < axes @ ray < high
+    / radius.
     """
 
     axes: Float[ArrayLike, "3 3"]
@@ -81,7 +82,7 @@ class RegionOfPencil(NamedTuple):
 
 
 def region_of_pencil(region: Region, pencil: Pencil) -> RegionOfPencil:
-    """Convert a box from the world frame to the frame of a pencil."""
+    """Convert a box from the world frame to the frame of a pencil of epipolar planes."""
     origin = region.axes @ np.asarray(pencil.origin_mm)
     axes = region.axes @ np.asarray(pencil.frame).T
     return RegionOfPencil(axes, region.low_mm - origin, region.high_mm - origin)
@@ -97,7 +98,8 @@ def select_pairs_in_region(
 ) -> tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]:
     """Return the pairs (i, j) of segments whose common part in space lies in the box.
 
-    `i` are segments of the first view, `j` segments of the second view.
+    The common part is the part of the line in space that both segments show. `i` are segments of
+    the first view, `j` segments of the second view.
     """
     pair = inputs.view.baseline_mm, inputs.first, inputs.second
 
@@ -118,7 +120,10 @@ def _lies_in_region(
     j: Int[ArrayLike, "p"],
     tuning: CandidateTuning,
 ) -> Bool[ArrayLike, "p"]:
-    """Return the mask of the pairs (i, j) whose common part exists and has both ends in the box."""
+    """Return the mask of the pairs (i, j) whose common part exists and has both ends in the box.
+
+    The common part is the part of the line in space that both segments show.
+    """
     part = cut_pair(baseline_mm, take_segments(first, i), take_segments(second, j), tuning)
     is_inside = part.possible
     for bounding_plane in (part.at_low, part.at_high):
@@ -144,8 +149,9 @@ class SearchPrior(NamedTuple):
     least_log_odds : float
         Candidates with smaller log odds are discarded.
     ends_px : float or None
-        Limit for the distance between corresponding ends of the two segments of a pair, along the
-        segment. At least one of the two distances must be below the limit. None for no limit.
+        Limit for the distance between the corresponding ends of two segments, measured along the
+        segment. A pair has two such distances; one of them must be below the limit. None for no
+        limit.
     """
 
     region: Region | None
@@ -164,7 +170,8 @@ def likely_triples(
     """Return the triples of one frame whose approximate log odds exceed `prior.least_log_odds`.
 
     The approximation uses the line of the first two segments instead of the fit to all three, and
-    assumes equal polarities. If side levels are known, all triples are returned.
+    assumes equal polarities. If the grey levels beside the segments are known, all triples are
+    returned.
     """
     if np.isfinite(np.asarray(screen[0].sides)).any():
         return triple
@@ -202,7 +209,7 @@ def _log_odds(
     """Approximate log odds of each triple, one line against clutter, without constant terms.
 
     The result is -inf if the three segments cannot be images of one line. `log_shares` are the logs
-    of the mixture weights of the error's tail (k,) and of the end components (c,).
+    of the mixture weights of the error scales (k,) and of the components of `end_evidence` (c,).
     """
     segments = triple.T
     planes_of_triple = segment_planes(lines, clutter, order, segments)

@@ -177,12 +177,11 @@ def gate_triples(
     tuning: CandidateTuning,
     any_order: bool = False,
 ) -> Int[np.ndarray, "h 3"]:
-    """Return the triples (h, 3) of each pair (i, j) and every third segment that its prediction
-    admits.
+    """Return the triples (h, 3) of each pair (i, j) with every third segment near its prediction.
 
     The columns of the result are segments of the first, second and third view of `inputs`. A pair
     predicts only if its interpretation planes cross at nearly the widest angle of the three planes.
-    With `any_order`, other precise pairs predict too.
+    With `any_order`, other pairs predict too if their prediction is precise.
     """
     size = block_size(lines, PAIRS_IN_BLOCK)
     triples = [np.zeros((0, 3), dtype=np.int32)]

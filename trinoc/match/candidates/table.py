@@ -23,7 +23,8 @@ class Candidates(NamedTuple):
     index : (m, v)
         Segment of each view; -1 for views that are not part of the candidate.
     interval : (m, v, 2)
-        Common part on each segment: positions from 0 at its first end to 1 at its second.
+        Common part on each segment (the part of the line that all segments of the candidate show):
+        positions from 0 at its first end to 1 at its second.
     ends_mm : (m, 2, 3)
         Ends of the common part in space, world frame.
     chi_square, log_density, union_ends_mm, union_covariance_mm2, px_per_mm : (m, ...)
@@ -131,9 +132,10 @@ def prior_log_odds(
     mixture: MixtureParameters,
     tuning: EvidenceTuning = DEFAULT.evidence,
 ) -> Float[np.ndarray, "m"]:
-    """Return the log odds of each candidate before rivals and junctions, (m,).
+    """Return the log odds of each candidate from its own evidence, (m,).
 
-    `mixture` has one set of parameters for each frame of a stack.
+    Competing candidates and junctions are not considered. `mixture` has one set of parameters
+    for each frame of a stack.
     """
     c = candidates
     return log_odds(

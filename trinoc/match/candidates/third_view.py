@@ -40,7 +40,8 @@ class Prediction(NamedTuple):
     Attributes
     ----------
     possible : (p,)
-        False for pairs that cannot be one line, or that another pair of the triple replaces.
+        False for pairs that cannot be one line. False also for pairs that are not used, because
+        another pair of the same three segments gives a better prediction.
     u0, v0, u1, v1 : (p,)
         Ends of the predicted segment, undistorted pixels.
     c00, c01, c11 : (p,)
@@ -58,7 +59,9 @@ class Prediction(NamedTuple):
 
 
 class ThirdView(NamedTuple):
-    """Projection from the frame of a pencil into a third view.
+    """Projection from the frame of a pencil of epipolar planes into a third view.
+
+    The pencil is that of the other two views.
 
     In a stack of frames, all attributes have a leading axis of frames.
 
@@ -81,7 +84,10 @@ class ThirdView(NamedTuple):
 
 
 def third_view(lines: SegmentTable, pencil: Pencil, third: Int[ArrayLike, ""] | int) -> ThirdView:
-    """Build the projection from the frame of a pencil into the view with index `third`."""
+    """Build the projection from the frame of an epipolar pencil into the view with index `third`.
+
+    `pencil` contains the epipolar planes of the two other views.
+    """
     xp = array_namespace(lines, pencil, third)
     matrix, size_px = xp.asarray(lines.matrix_px), xp.asarray(lines.size_px)
     left_block = matrix[..., third, :, :3]

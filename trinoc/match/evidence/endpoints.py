@@ -28,9 +28,10 @@ def end_evidence(
 ) -> Float[ArrayLike, "2 c *h"]:
     """Return the evidence of how well the segment ends of a triple correspond, (2, c, h).
 
-    For both ends of h triples and each of c mixture components, the value is the log of a density
-    ratio: component over clutter. `extent_px` are the positions (low, high) of each segment along
-    the common line.
+    The c mixture components are the cases that all three segments end together, that two do, or
+    that none do, with several scales of the distance. The value is the log of a density ratio:
+    component over clutter, for both ends of h triples. `extent_px` are the positions (low, high) of
+    each segment along the common line.
     """
     xp = array_namespace(extent_px)
     # Positions of both ends, each counted toward the middle of the line.

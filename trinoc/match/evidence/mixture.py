@@ -122,8 +122,8 @@ def log_odds(
 ) -> Float[np.ndarray, "m"]:
     """Return the log odds of each candidate, one line against clutter, (m,).
 
-    The result includes the prior and the evidence of position, ends and side levels. Rivals and
-    junctions are not included.
+    The result includes the prior and the evidence of position, ends and grey levels beside the
+    segments. Competing candidates and junctions are not considered.
     """
     tail = np.log(np.exp(_tail_terms(chi_square, mixture.tail, tuning, frame)).sum(axis=1))
     ends = _log_mixture(end_log, broadcast_groups(mixture.ends, frame)).sum(axis=1)
@@ -139,7 +139,7 @@ def temper(
     side_log: Float[np.ndarray, "m s"],
     tuning: EvidenceTuning = DEFAULT.evidence,
 ) -> Float[np.ndarray, "m"]:
-    """Multiply the log odds by the temperature (below 1) for candidates with known side levels.
+    """Multiply log odds by a factor below 1 if the grey levels beside the segments are known.
 
     Other candidates keep their log odds.
     """
@@ -150,7 +150,7 @@ def temper(
 def log_sides(
     side_log: Float[np.ndarray, "m s"], mixture: MixtureParameters, frame: Frame = None
 ) -> Float[np.ndarray, "m"]:
-    """Return the log likelihood ratio of the side levels, (m,); 0 if the levels are unknown.
+    """Log likelihood ratio of the grey levels beside the segments, (m,); 0 if they are unknown.
 
     The components of `side_evidence` have the weights `mixture.sides`.
     """
@@ -172,7 +172,8 @@ def em_step(
 ) -> MixtureParameters:
     """Run one step of expectation maximisation, and return the updated mixture parameters.
 
-    `posterior` (m,) is the current probability of each candidate, with rivals and junctions.
+    `posterior` (m,) is the current probability of each candidate, given its competing candidates
+    and junctions.
     """
     evidence, frames = tuning.evidence, np.size(mixture.log_count)
     rows = np.flatnonzero(posterior > evidence.negligible_posterior)

@@ -54,8 +54,9 @@ def side_evidence(
     """Return the evidence of the grey levels beside the segments of each candidate, (m, s).
 
     For each of the components SIDE_COMPONENTS, the value is the log of a density ratio: component
-    over clutter. The value is 0 without two segments with levels and without two other segments
-    with a contrast. `sides` is the result of `side_table`.
+    over clutter. Segments with known levels and segments with only a contrast are compared
+    separately. A comparison needs at least two segments, otherwise its evidence is 0. `sides` is
+    the result of `side_table`.
     """
     by_levels = _level_evidence(sides[..., :5], index, interval, tuning)
     return by_levels + _contrast_evidence(sides[..., 5:], index, tuning)
@@ -66,7 +67,7 @@ def _contrast_evidence(
 ) -> Float[np.ndarray, "m s"]:
     """Return the evidence of the contrast, for segments whose levels are unknown, (m, s).
 
-    The evidence is 0 for components in which a side differs between the views.
+    The evidence is 0 for the components in which the levels of a side disagree between the views.
     """
     evidence = np.zeros((len(index), len(SIDE_COMPONENTS)))
     if np.isnan(contrasts[..., 0]).all():

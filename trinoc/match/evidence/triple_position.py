@@ -212,10 +212,11 @@ def _intervals_on_line(
 def _misfit(
     segments: SegmentPlanes, planes: InterpretationPlanes, direction: Vector3
 ) -> tuple[Scalar, Scalar]:
-    """Return the chi-square of the residuals of three views, and the determinant of their
+    """Return the chi-square of the residuals at two points, and the determinant of their
     covariance.
 
-    The module docstring defines the residual r. It is evaluated at the first two points.
+    The points are the first two of `planes`. The module docstring defines r, the one residual of
+    three views at a point.
     """
     normals = [nth3(planes.normal, k) for k in range(3)]
     crossings = [cross3(normals[(k + 1) % 3], normals[(k + 2) % 3]) for k in range(3)]
@@ -247,10 +248,11 @@ def log_lengths(lengths_px: Float[ArrayLike, "v *h"], typical_px: Scalar) -> Flo
 def project_onto_planes(
     segments: SegmentPlanes, planes: InterpretationPlanes, points_mm: Vector3, direction: Vector3
 ) -> tuple[Vector3, Symmetric3]:
-    """Move points perpendicular to a line, to the least-squares fit of all interpretation planes.
+    """Move points of a line to the positions that fit all interpretation planes best.
 
-    Returns (points, covariance across the line), with a leading axis of points. Each plane has the
-    weight 1 / variance of its segment at the point.
+    Each point moves perpendicular to `direction`, by weighted least squares. A plane has the weight
+    1 / variance of its segment at the point. Returns (points, covariance across the line), with a
+    leading axis of points.
     """
     xp = array_namespace(planes)
     nx, ny, nz = planes.normal
@@ -378,9 +380,10 @@ def _count_expected_views(
     segments: Int[ArrayLike, "2 *h"],
     points_mm: Vector3,
 ) -> Float[ArrayLike, "*h"]:
-    """Return the number of other views whose image contains the first two points, (h,).
+    """Return the number of other views whose image contains the line of each pair, (h,).
 
-    The points must also lie in front of the camera. `views` are the two views of the pair.
+    The first two of `points_mm` are the ends of the line. Both must lie in the image and in front
+    of the camera. `views` are the two views of the pair.
     """
     all_views = np.arange(lines.matrix_px.shape[-3])
     items = (1,) * (segments.ndim - 1)

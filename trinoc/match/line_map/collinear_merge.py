@@ -44,7 +44,7 @@ class _Group(NamedTuple):
     segments : frozenset of (view, segment)
         Segments of the tracks.
     common_mm : (k, 2, 3)
-        Ends of the common part of each track.
+        Ends of the part that all segments of a track show, for each track.
     ends_mm, covariance_mm2 : (2, 3) and (6, 6)
         Ends of the line, world frame, and their covariance.
     chi_square, degrees : float and int
@@ -79,7 +79,7 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
     Parameters
     ----------
     matches : Matches
-        The tracks, with the covariance of their fragments.
+        The tracks, with the covariance of their fragments (the parts of segments on the tracks).
     rig : Rig
         The cameras.
     tuning : MatchTuning
@@ -99,8 +99,8 @@ def join_collinear(matches: Matches, rig: Rig, *, tuning: MatchTuning = DEFAULT)
     -----
     Two tracks are joined under two conditions. The probability that both tracks are one line is at
     least 0.9. The probability that both tracks are right is at least 0.7. The first probability
-    compares the difference of the tracks in space with the density of parallel and other lines. The
-    gap between the tracks, in pixels, is included.
+    compares two hypotheses: one line, or two lines that are near each other by chance. It uses the
+    difference of the tracks in space, the density of other lines, and the gap in pixels.
 
     The joined line must fit all segments at a significance of 0.001. A segment of several tracks is
     used once. If most tracks have residuals larger than the stated errors, all covariances are
@@ -293,8 +293,8 @@ def _build_lines(
 ) -> JoinedLines:
     """Build the result from the groups, sorted by the smallest track index of each group.
 
-    `order` maps the tracks of `pieces` to the caller's track indices. `tail` is the `noise_tail` of
-    the matches.
+    `order` maps the tracks of `pieces` to the caller's track indices. `tail` is
+    `Matches.noise_tail`, the inequality of the tracks' errors.
     """
     groups = sorted(groups, key=lambda group: int(order[list(group.tracks)].min()))
     group_ends = np.array([group.ends_mm for group in groups]).reshape(-1, 2, 3)

@@ -241,9 +241,9 @@ def snap_corners(joined: JoinedLines, *, tuning: MatchTuning = DEFAULT) -> Corne
 
     Notes
     -----
-    Two ends are joined if they meet with a probability of at least 0.9. The probability compares
-    the meeting with chance and includes the posteriors of both lines. All lines of a corner must
-    pass through one point at a significance of 0.001.
+    Two ends are joined if they meet with a probability of at least 0.9. The alternative is that two
+    unrelated ends are near each other by chance. The probability includes the posteriors of both
+    lines. All lines of a corner must pass through one point at a significance of 0.001.
 
     Across a line, the position of an end has its covariance. Along the line, a standard deviation
     of 7 px is added, because the detector may stop early. A T junction, the end of one line on the
@@ -310,7 +310,10 @@ def _common_point(ends: Ends, member_ends: tuple[int, ...], tuning: MatchTuning)
 def _snap_lines(
     joined: JoinedLines, ends: Ends, corners: list[_Corner], free_end_px: float
 ) -> Corners:
-    """Adjust the lines so that the ends at each corner coincide, by constrained least squares."""
+    """Adjust the lines so that the ends at each corner coincide, by constrained least squares.
+
+    `free_end_px` is the standard deviation of where a detector ends an edge, along the edge.
+    """
     lines, covariance = joined.lines_mm.copy(), joined.covariance_mm2.copy()
     rows = [(c, end) for c, corner in enumerate(corners) for end in corner.ends]
     corner_ends = np.array(rows, dtype=np.int64).reshape(-1, 2)

@@ -92,7 +92,7 @@ def line_posteriors(
         Probability that the match is right. A wrong match contains a segment of a neighbouring
         edge, whose error has the largest scale of the mixture.
     tail : float
-        `noise_tail` of the matches.
+        `Matches.noise_tail`: inequality of the tracks' errors, 0 for normal errors.
     tuning : CollinearTuning
         Tuned constants.
     """
@@ -117,7 +117,10 @@ def line_posteriors(
 def shares_of_tail(
     tail: float, tuning: CollinearTuning = DEFAULT.collinear
 ) -> Float[np.ndarray, "3"]:
-    """Return the probability of each of the three error scales, (3,), for a given `noise_tail`."""
+    """Return the probability of each of the three error scales of a segment, (3,).
+
+    `tail` is `Matches.noise_tail`, the inequality of the tracks' errors.
+    """
     factor = np.clip(tail / tuning.error_tail, 1.0, tuning.max_share_factor)
     large_shares = factor * np.array(tuning.error_shares[1:])
     return np.concatenate([[1 - large_shares.sum()], large_shares])

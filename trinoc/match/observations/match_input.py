@@ -264,7 +264,8 @@ def _prepare_view(
     """Undistort the segments of a view, sort the ends of each from left to right, and sort the
     segments.
 
-    Segments with an end beyond the fold of the lens are excluded.
+    Segments with an end beyond the fold of the lens, where its distortion is not invertible, are
+    excluded.
     """
     checked = _as_segments(segments, sigma_px)
     undistorted = undistort_pixels(lens, np.asarray(checked.endpoints_px))

@@ -77,8 +77,8 @@ def first_of_duplicates(
 ) -> Int[np.ndarray, "k"]:
     """Return the indices of the segments that do not duplicate an earlier segment, (k,).
 
-    Two segments are duplicates if their ends coincide within a share of their sigma across, and
-    their polarities are not opposite.
+    Two segments are duplicates if their ends coincide within a fraction of their sigma across the
+    segment, and their polarities are not opposite.
     """
     rows = np.arange(len(ends_px))
     while len(rows) > 1:

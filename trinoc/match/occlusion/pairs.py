@@ -68,9 +68,10 @@ def match_occluded(
     depth_range_mm: tuple[float, float] | None,
     tuning: MatchTuning = DEFAULT,
 ) -> tuple[Tracks, Pairs]:
-    """Match the segments that only two views show, and temper the log odds of the tracks.
+    """Match the segments that only two views show, and reduce the log odds of the tracks.
 
-    Returns (tracks, pairs).
+    Returns (tracks, pairs). The reduction (`temper_tracks`) is for solid bodies, whose edges have
+    correlated evidence.
     """
     lines, counts = inputs.lines, inputs.counts
     bodies = estimate_bodies(lines, tracks, selections, tuning)
@@ -149,8 +150,10 @@ def occluded_pairs(
 def _likelier_half(
     pairs: Candidates, mean_counts: Float[np.ndarray, "*f"] | float, tuning: MatchTuning
 ) -> Candidates:
-    """Return the pairs whose log odds are above the median, with the mixture parameters of the
-    prior.
+    """Return the pairs whose log odds are above the median.
+
+    The log odds use the prior mixture parameters. `mean_counts` is the number of segments per view,
+    for each frame.
     """
     mixture = prior_parameters(pairs.ends_mm, mean_counts, tuning, pairs.frame)
     evidence = log_odds_among_lines(pairs, mixture, tuning)
@@ -208,7 +211,10 @@ def _take_frames(candidates: Candidates, is_selected: Bool[np.ndarray, "f"]) -> 
 def _free_segments(
     matched: Candidates, counts: list[int], max_share: float
 ) -> list[Int[np.ndarray, "_"]]:
-    """Return the free segments of each view: segments with a matched share below `max_share`."""
+    """Return the free segments of each view, those of which less than `max_share` is matched.
+
+    The matched share of a segment is the part of its length that the tracks `matched` use.
+    """
     free_segments = []
     for view, count in enumerate(counts):
         has_segment = matched.index[:, view] >= 0
@@ -227,7 +233,8 @@ def pairs_beside_lines(
 ) -> Pairs:
     """Compute the posterior log odds of pairs, with junctions between pairs and matched lines.
 
-    Marginals, prior and junctions are iterated until they are stable.
+    Three steps are iterated until they are stable: posteriors given competing pairs, the prior, and
+    the evidence of junctions.
     """
     rules = tuning.occlusion
     log_missed = float(np.log(rules.miss_probability))

@@ -70,8 +70,8 @@ def log_position_density_among(
 
     Notes
     -----
-    The density is a product of three profiles, one along each axis of `volume`. The value of a
-    candidate is the geometric mean of those at its two ends.
+    The density is a product of three one-dimensional densities (profiles), one along each axis of
+    `volume`. The value of a candidate is the geometric mean of those at its two ends.
     """
     # Principal axes, each divided by the standard deviation along it.
     inverse_variance, eigenvectors = np.linalg.eigh(volume.precision)

@@ -137,8 +137,10 @@ def _pair_evidence(
     tuning: CandidateTuning,
     ends: EndTuning,
 ) -> tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]:
-    """Compute the evidence of each pair. Returns the mask of possible pairs, and the columns (c,
-    h).
+    """Compute the evidence of each pair of segments, as one array for the compiled programs.
+
+    `pairs` (h, 2) are segments of the two `views`. Returns the mask of the pairs that can be one
+    line, and the fields of `PairEvidence` as the rows of one array (c, h).
     """
     segments = pairs.T
     rows = take_segments(planes.first, segments[0]), take_segments(planes.second, segments[1])
@@ -166,7 +168,8 @@ def pair_bound(
 ) -> PairBound | None:
     """Return the terms of the upper bound for the pairs of one frame.
 
-    The result is None if side levels are known, because their evidence is not in the bound.
+    The result is None if the grey levels beside the segments are known, because their evidence is
+    not in the bound.
     `end_shares` are the weights of the end components.
     """
     if np.isfinite(np.asarray(lines.sides)).any():
@@ -220,6 +223,8 @@ def may_be_likely(
 class Pairs(NamedTuple):
     """Candidate pairs with their log odds.
 
+    Rivals are candidates that use the same part of a segment; at most one of them is right.
+
     Attributes
     ----------
     candidates : Candidates
@@ -227,7 +232,8 @@ class Pairs(NamedTuple):
     log_odds : (m,)
         Log odds before the exclusion of rivals.
     posterior_log_odds : (m,)
-        Log odds after the exclusion of rivals and after tempering.
+        Log odds after the exclusion of rivals and after the reduction for solid bodies
+        (`temper_pairs`).
     is_accepted : (m,)
         True for the accepted pairs.
     miss_log_odds : (m,)
@@ -250,8 +256,8 @@ def likely_pair_rows(
 ) -> tuple[Int[np.ndarray, "k"], Float[np.ndarray, "k"]]:
     """Return the indices of the likely pairs that use no matched part of a segment, (k,).
 
-    Some likely pairs may be discarded to limit the memory. The second result is `log_kept_share` of
-    each remaining pair.
+    Some likely pairs may be discarded to limit the memory. The second result (k,) is the log of the
+    probability that the right pair was not discarded (`log_kept_share`).
     """
     rules = tuning.selection
     rows = np.flatnonzero(odds > rules.prune_log_odds)
@@ -271,7 +277,8 @@ def log_odds_among_lines(
 ) -> Float[np.ndarray, "m"]:
     """Return the log odds of pairs in a scene with matched lines, (m,).
 
-    Rivals, junctions, and the prior share of pairs among all lines are not included.
+    Not included are competing candidates, junctions, and the share of lines that only two views
+    show.
     """
     rules, frame = tuning.occlusion, candidates.frame
     member_evidence = log_ends(

@@ -136,7 +136,7 @@ def estimate_bodies(
 def temper_tracks(
     lines: SegmentTable, tracks: Tracks, bodies: Bodies, tuning: MatchTuning
 ) -> Tracks:
-    """Return the tracks with tempered log odds of tracks and rivals.
+    """Return the tracks with reduced (tempered) log odds of each track and of its best rival.
 
     Tempering multiplies log odds by a factor below 1. Edges of solid bodies need this factor,
     because the evidence for such edges is correlated.
@@ -169,8 +169,8 @@ def temper_pairs(
 
     The log odds of edges of solid bodies are multiplied by a factor below 1, and an offset is
     added. The offset decreases with the angle between the viewing directions, because more edges
-    are then hidden in one view. Pairs with known side levels have no offset, because the levels
-    distinguish the edges.
+    are then hidden in one view. Pairs with known grey levels beside the segments have no offset,
+    because the levels distinguish the edges.
     """
     rules, solid_share = tuning.occlusion, bodies.junction_share * (1 - bodies.see_through_share)
     viewpoint_offset = solid_share * (rules.solid_offset - rules.viewpoint_penalty * crossing_sine)

@@ -141,8 +141,9 @@ def fit_strips(
 class _LineSums(NamedTuple):
     """Sums over the blocks of each line.
 
-    `information` and `gradient` are those of the normal equations. `noise` and `chi_square` are
-    variances in units of the image's variance. Other attributes are as in `StripFit`.
+    `information` and `gradient` are those of the normal equations. `noise` is the noise variance of
+    each line over that of the image. `accepted_blocks` counts the blocks with a weight above 0.3.
+    Other attributes are as in `StripFit`.
     """
 
     information: Float[np.ndarray, "s 3 3"]

@@ -63,6 +63,8 @@ class Circles(NamedTuple):
 class Chords(NamedTuple):
     """Segments of all views in one table, as possible chords of circles.
 
+    A chord is a straight segment that the detector fitted to a part of a curved edge, an arc.
+
     Attributes
     ----------
     view : (n,)

@@ -78,6 +78,8 @@ def heights_of_closest_approach(
 class TracksBesideRims(NamedTuple):
     """Tracks that no rim explains, and that therefore remain in the result.
 
+    A rim explains a track if the segments of the track are chords of the rim.
+
     Attributes
     ----------
     kept : (k,)
@@ -103,7 +105,8 @@ def tracks_beside_rims(
 ) -> TracksBesideRims:
     """Select the tracks that no rim explains, and test them for outlines of bodies below rims.
 
-    `rim` (n,) is the rim that each segment is a chord of, -1 if none.
+    A rim explains a track if the track's segments are chords of the rim. `rim` (n,) is the
+    rim that each segment is a chord of, -1 if none.
     """
     kept = np.flatnonzero(~_explains_tracks(matches, chords, rim))
     is_outline = are_outlines(chords, circles, mm_per_px, tuning) & (rim < 0)

@@ -84,10 +84,9 @@ _MAX_INVERSE_DEPTH, _MOST_STEPS = 3.0, 2000
 def has_rival(
     chords: Chords, circle: Circles, chord_rows: Int[np.ndarray, "k"], tuning: RimTuning
 ) -> bool:
-    """True if the chords of one view also lie on another circle, with other chords of the second
-    view.
+    """True if another circle has the same chords in one view and other chords in the second view.
 
-    Such a rim in two views is ambiguous.
+    A rim with such a rival is ambiguous, because only two views show it.
 
     Notes
     -----
@@ -110,9 +109,10 @@ def _has_other_chords(
     second: int,
     tuning: RimTuning,
 ) -> bool:
-    """True if a circle with the same image in view `first` has other long chords in view `second`.
+    """True if a circle with the same image in view `first` has other chords in view `second`.
 
-    Long means at least half of the total length of the chords of `circle` in that view.
+    Other chords are segments on that circle that are not in `chord_rows`, the chords of `circle`.
+    Their total length must exceed half of that of the chords of `circle` in view `second`.
     """
     in_second = chords.view == second
     rows = np.setdiff1d(np.flatnonzero(in_second), chord_rows)

@@ -45,6 +45,8 @@ from trinoc.numerics.tables import take_rows
 class Selection(NamedTuple):
     """Candidates of three views with their posterior, and the parameters estimated from them.
 
+    Rivals are candidates that use the same part of a segment; at most one of them is right.
+
     Attributes
     ----------
     candidates : Candidates
@@ -85,7 +87,8 @@ class Tracks(NamedTuple):
     posterior_log_odds : (t,)
         Posterior log odds.
     rival_posterior : (t,)
-        Posterior log odds of the best rival of each candidate; -inf if there is none.
+        Posterior log odds of the best rival, a candidate that uses the same part of a segment; -inf
+        if there is none.
     member_posterior : (t, v) or None
         Probability that each segment belongs to the line of the track's other segments. NaN for
         views without a segment and for tracks in fewer than four views. None if all values are NaN.
@@ -108,7 +111,9 @@ def select(
     neighbours: bool = True,
     tuning: MatchTuning = DEFAULT,
 ) -> Selection:
-    """Compute the posteriors of candidates, and accept the most likely ones of all rivals.
+    """Compute the posteriors of candidates, and accept the most likely of competing candidates.
+
+    Candidates compete if they use the same part of a segment.
 
     Parameters
     ----------
@@ -239,10 +244,10 @@ def residual_scale(
     """Estimate the factor between actual and assumed errors across the segments, for each frame,
     (f,).
 
-    The estimate follows from the median chi-square of the sure triples. Triples whose errors are
-    mostly common to both ends of their segments are ignored, because such errors cause no residual.
-    `across_px2` is the assumed covariance. A prior of `prior_observations` triples with a factor of
-    1 stabilises the estimate of few triples.
+    The estimate follows from the median chi-square of the triples with a posterior above 0.9.
+    Triples whose errors are mostly common to both ends of their segments are ignored, because such
+    errors cause no residual. `across_px2` is the assumed covariance. The prior is equal to
+    `prior_observations` additional triples with a factor of 1.
     """
     mean_variance = across_px2.sum(axis=(2, 3)) / 4
     common_variance = np.stack([common_error_variance(view) for view in across_px2])

@@ -266,7 +266,8 @@ def sum_product(
     frame : (m,), optional
         Frame of each candidate, below FRAMES_AT_ONCE.
     previous : Beliefs, optional
-        Initial messages. Default: the messages of the candidates that `choose_greedily` accepts.
+        Initial messages. Default: the messages that result if only the candidates accepted by
+        `choose_greedily` are right.
     """
     count = len(log_odds)
     if len(graph.slot) == 0:

@@ -61,7 +61,7 @@ def narrow_notes(frame: FrameInput) -> tuple[str, ...]:
 
 
 def _fold_notes(frame: FrameInput) -> tuple[str, ...]:
-    """Return the warning that segments beyond the fold of a lens are excluded, or no warning."""
+    """Return the warning on excluded segments where a lens is not invertible, or no warning."""
     counts = {
         name: int((reasons == BEYOND_FOLD).sum())
         for name, reasons in zip(frame.names, frame.exclusion_reasons, strict=True)
@@ -257,10 +257,9 @@ class TrackLines(NamedTuple):
     member_posterior: Float[np.ndarray, "t v"]
 
     def index_likelier_than(self, posterior: float) -> Int[np.ndarray, "_ v"]:
-        """Return the segments (k, v) of the tracks in three or more views that exceed a
-        probability.
+        """Return the segments (k, v) of the tracks in three or more views that are likely enough.
 
-        The probability is that of `chance_log_odds`.
+        The probability of such a track, that of `chance_log_odds`, exceeds `posterior`.
         """
         in_three = (self.index >= 0).sum(axis=1) > 2
         return self.index[in_three & (probability(self.chance_log_odds) > posterior)]
@@ -382,7 +381,8 @@ def _with_unequal_errors(
 ) -> tuple[TrackLines, Float[np.ndarray, "f"]]:
     """Multiply the covariance of each line by a factor, because errors differ between tracks.
 
-    Returns (lines, tail of the error distribution in each frame). See `unequal_errors.py`.
+    Returns (lines, `noise_tail` of each frame). `noise_tail` is 1 / degrees of freedom of the
+    Student distribution of the errors. See `unequal_errors.py`.
     """
     degrees = degrees_of_misfit(lines.index)
     is_sure = (degrees > 0) & (probability(lines.posterior_log_odds) > tuning.sure_posterior)

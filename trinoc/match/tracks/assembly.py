@@ -86,7 +86,7 @@ def assemble(
     selections : list of Selection
         Selection of each triplet of views.
     pairs : Pairs
-        Candidate pairs of step 3.
+        Pairs of segments that only two views show.
     out_of_range : sequence of arrays
         For each triplet, segments of its triples outside the depth range or behind a camera.
     names : sequence of tuple of str
@@ -128,7 +128,7 @@ def assemble(
 
 
 def _count_per_frame(inputs: MatchInput, groups: list[np.ndarray]) -> Int[np.ndarray, "f"]:
-    """Return the number of rows in each frame, (f,). A row contains the segments of a candidate."""
+    """Return the number of candidates in each frame, (f,): rows of segments in `groups`."""
     frames = [look_up_frames(inputs.lines, index) for index in groups]
     labels = [
         np.zeros(len(index), np.int64) if frame is None else frame
@@ -193,11 +193,12 @@ def _build_lines(
 
 
 def direction_doubt(lines: SegmentTable, index: Int[np.ndarray, "t v"]) -> Float[np.ndarray, "t"]:
-    """Return the direction error of each track's segments over their epipolar angle, (t,).
+    """Return the ratio of direction error to epipolar angle for each track, (t,).
 
-    For a segment, the ratio is the standard deviation of its direction over its angle to the
-    epipolar line. For a pair of views, it is the larger ratio of the two segments. For a track, it
-    is the smallest ratio of all pairs of views.
+    A large ratio means that the depth of the track is not determined. For a segment, the ratio is
+    the standard deviation of its direction over its angle to the epipolar line. For a pair of
+    views, it is the larger ratio of the two segments. For a track, it is the smallest ratio of all
+    pairs of views.
     """
     smallest, frame = np.full(len(index), np.inf), look_up_frames(lines, index)
     for a, b in combinations(range(index.shape[1]), 2):
@@ -218,9 +219,9 @@ def _direction_doubt_in_view(
     segment: Int[np.ndarray, "n"],
     frame: Int[np.ndarray, "n"] | None,
 ) -> Float[np.ndarray, "n"]:
-    """Return the direction error relative to the epipolar angle for segments of one view, (n,).
+    """Return the ratio of direction error to epipolar angle for segments of one view, (n,).
 
-    The epipolar lines are those of the camera `other`.
+    The epipolar angle is that between the segment and the epipolar line of camera `other`.
     """
     ends = np.asarray(lines.ends_px)[view, segment]
     across = np.asarray(lines.across_px2)[view, segment]

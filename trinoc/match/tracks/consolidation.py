@@ -95,9 +95,9 @@ def consolidate_tracks(
 def tail_of_tracks(
     index: Int[np.ndarray, "t v"], misfit: Float[np.ndarray, "t"], tuning: MatchTuning
 ) -> float:
-    """Estimate the tail of the tracks' error distribution (`fit_tail`), up to a maximum.
+    """Estimate how unequal the errors of the tracks are: `noise_tail`, see `fit_tail`.
 
-    The maximum is needed because wrong tracks make the estimate larger.
+    The estimate is limited to a maximum, because wrong tracks make it larger.
     """
     noise_tail = fit_tail(misfit, degrees_of_misfit(index), has_images=False)
     return min(noise_tail, tuning.tracks.max_tail)
@@ -211,7 +211,8 @@ def _select_trials(
 ) -> list[_Trial]:
     """Build trials from the proposals with the smallest chi-square.
 
-    No two trials have a common track or a common segment.
+    No two trials have a common track or a common segment. `owners` are the tracks of each segment,
+    by (view, segment). `rejected` are the segments of the extended tracks that failed before.
     """
     in_use: set[tuple[int, int]] = set()
     trials = []

@@ -164,16 +164,16 @@ FREE_PX = 1e4
 def view_ends_line(
     inputs: MatchInput, index: Int[np.ndarray, "t v"], ends_mm: Float[np.ndarray, "t 2 3"]
 ) -> Bool[np.ndarray, "t v 2"]:
-    """Return the mask of the view whose segment ends at each of a line's two ends, (t, v, 2)."""
+    """Mark, for each of a line's two ends, the view whose segment ends there, (t, v, 2)."""
     return view_bounds_span(segment_extents(inputs, index, ends_mm), np.array([0.0, 1.0]))
 
 
 def view_bounds_span(
     extents: Float[np.ndarray, "t v 2"], span: Float[np.ndarray, "*t 2"]
 ) -> Bool[np.ndarray, "t v 2"]:
-    """Return the mask of the view whose segment ends nearest to each end of `span`, (t, v, 2).
+    """Mark, for each end of an interval, the view whose segment ends nearest to it, (t, v, 2).
 
-    `span` is an interval of each line. `extents` are the intervals of the segments along each line.
+    `span` is the interval on each line. `extents` are the intervals of the segments on each line.
     """
     distance = np.abs(extents - np.expand_dims(span, -2))
     nearest = np.nanargmin(distance, axis=1) if len(extents) else np.zeros((0, 2), dtype=np.int64)
@@ -190,7 +190,7 @@ def cut_fragments(
 
     Returns the fragments (t, v, 2, 2), undistorted pixels, and their covariances (t, v, 4, 4). Both
     are NaN for views without a segment. `ends_here` marks fragment ends that are ends of their
-    segment. Other fragment ends are free along the segment.
+    segment. Other fragment ends get a large variance along the segment.
     """
     tracks, views = index.shape
     fragments = np.full((tracks, views, 2, 2), np.nan)
@@ -388,8 +388,8 @@ def are_consistent(
 ) -> Bool[np.ndarray, "t"]:
     """Return the mask of the tracks whose segments can be images of one line, (t,).
 
-    The misfit must be probable for errors with the tail `noise_tail`. Every segment must also be
-    close to the line, see `are_near`.
+    The misfit must be probable for Student-distributed errors, where `noise_tail` is 1 / degrees of
+    freedom. Every segment must also be close to the line, see `are_near`.
     """
     degrees = 2 * ((tracks.index >= 0).sum(axis=1) - 2)
     significance = chi_square_tail(tuning.candidates.gate, 2)

@@ -113,7 +113,8 @@ class Matches(Displayable, Table):
     posterior : (t,)
         Probability that the match is right.
     rival_posterior : (t,)
-        Posterior of the best rival, 0 if there is none.
+        Posterior of the best rival, a match that uses the same part of a segment; 0 if there is
+        none.
     reasons : dict of arrays
         For each view, the reason why each segment is on no track. "matched" for segments on a
         track. "matched within a pattern" if a match one period off is as good.
@@ -270,10 +271,11 @@ class Matches(Displayable, Table):
 
     @property
     def share_in_three_views(self) -> float:
-        """Share of the segments that are on sure tracks of three or more views, smallest of all
+        """Share of a view's segments on sure tracks in three or more views; the smallest of all
         views.
 
-        A small share in one view may mean that its camera was moved.
+        A sure track has a posterior above 0.9. A small share in one view may mean that its
+        camera was moved.
         """
         is_sure = (self.posterior > DecoyTuning.sure_posterior) & (self.stage == TRINOCULAR)
         return min(
@@ -299,10 +301,10 @@ class Matches(Displayable, Table):
         return line_sigmas(self.lines_mm, self.covariance_mm2).across_sigma_mm
 
     def ellipsoid_limit(self, probability: float) -> Float[np.ndarray, "t"]:
-        """Squared Mahalanobis distance that contains a line with the given probability, (t,).
+        """Limit of the squared error of each line that holds with the given probability, (t,).
 
-        The distance is that of both ends from the true line, perpendicular to the line, under
-        `covariance_mm2`, with four degrees of freedom.
+        The squared error is d' C^-1 d: d are the four offsets of both ends from the true line,
+        perpendicular to the line, and C is their covariance from `covariance_mm2`.
 
         Parameters
         ----------

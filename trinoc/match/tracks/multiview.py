@@ -106,7 +106,8 @@ def _link_tracks(
 
     A link (a, b) is a triple with two segments of track a and one segment of track b. Links (a, b)
     and (b, a) together are evidence that both tracks show one line. The arrays are changed in
-    place. Returns the tracks that were merged into another track.
+    place. The line of a and each segment of b must overlap by at least the share `least_shared` of
+    the shorter one. Returns the tracks that were merged into another track.
     """
     merged: set[int] = set()
     merged_into: dict[int, int] = {}

@@ -131,8 +131,9 @@ def depth_range_remedy(matches: Matches) -> str | None:
 
 
 def _sure_lines(matches: Matches) -> Bool[np.ndarray, "t"]:
-    """Return the mask of the sure tracks in three or more views; with two views, of all sure
-    tracks.
+    """Return the mask of the sure tracks (posterior above 0.9), (t,).
+
+    With three or more views, only tracks in at least three views are included.
     """
     is_sure = np.asarray(matches.posterior) > DecoyTuning.sure_posterior
     return (

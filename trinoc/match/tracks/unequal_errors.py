@@ -35,7 +35,9 @@ def fit_tail(
     has_images: bool,
     tuning: NoiseTuning = DEFAULT.noise,
 ) -> float:
-    """Estimate the tail of the tracks' error distribution: 1 / degrees of freedom, 0 if normal.
+    """Estimate how unequal the tracks' errors are: the tail of a Student distribution.
+
+    The tail is 1 / degrees of freedom of the distribution, 0 for normal errors.
 
     Parameters
     ----------
@@ -59,7 +61,10 @@ def fit_tails(
     has_images: Bool[np.ndarray, "f"],
     tuning: NoiseTuning = DEFAULT.noise,
 ) -> Float[np.ndarray, "f"]:
-    """Estimate the tail of the tracks' error distribution for each frame, (f,). See `fit_tail`."""
+    """Estimate how unequal the tracks' errors are in each frame, (f,), as `fit_tail` does.
+
+    The result is 1 / degrees of freedom of the errors' Student distribution, 0 for normal errors.
+    """
     prior = np.where(has_images[:, None], tuning.tail_of_images, tuning.tail_otherwise)
     shape, mean = prior[:, :1], prior[:, 1:]
     tail = np.geomspace(_SMALLEST_TAIL, _LARGEST_TAIL, _TAILS)
@@ -91,7 +96,8 @@ def misfit_limit(
 ) -> Float[np.ndarray, "*t"]:
     """Return the value that a misfit exceeds with the given probability.
 
-    For tail 0, this is the chi-square limit.
+    `tail` is 1 / degrees of freedom of the errors' Student distribution. For tail 0, the result is
+    the chi-square limit.
     """
     if tail < _SMALLEST_TAIL:
         return np.asarray(chi_square_limit(probability, degrees))
@@ -117,9 +123,10 @@ def variance_factor(
     """Return the factor for the variance across each line that makes its 95 % ellipsoid valid,
     (t,).
 
-    `degrees` is 0 for two views. Given its misfit, the variance of a track has an inverse gamma
-    distribution, and its error has a Student distribution. The factor is the squared 95 % limit of
-    that distribution over that of the stated normal distribution.
+    `degrees` are those of the misfit, 0 for two views. `tail` is the result of `fit_tail`. Given
+    its misfit, the variance of a track has an inverse gamma distribution, and its error has a
+    Student distribution. The factor is the squared 95 % limit of that distribution over that of the
+    stated normal distribution.
     """
     prior_freedom = 1 / np.maximum(tail, _SMALLEST_TAIL)
     freedom = prior_freedom + degrees
@@ -133,10 +140,10 @@ def variance_factor(
 def ellipsoid_limit(
     probability: float, degrees: Int[np.ndarray, "t"], tail: float
 ) -> Float[np.ndarray, "t"]:
-    """Return the squared Mahalanobis distance that contains a line with the given probability,
-    (t,).
+    """Return the limit of each line's squared Mahalanobis distance from the true line, (t,).
 
-    The covariances must already be multiplied by `variance_factor`, which makes them valid at 95 %.
+    The distance is below the limit with the given probability. It refers to covariances multiplied
+    by `variance_factor`, which makes them valid at 95 %.
     """
     limit_at_coverage = chi_square_quantile(_COVERAGE, _PARAMETERS)
     if tail < _SMALLEST_TAIL:
@@ -150,7 +157,7 @@ def ellipsoid_limit(
 
 
 def _student_limit(probability: float, freedom: Float[np.ndarray, "t"]) -> Float[np.ndarray, "t"]:
-    """Return the squared distance that contains a line with the given probability, (t,).
+    """Return the limit of each line's squared Mahalanobis distance for a probability, (t,).
 
     The errors have a Student distribution with `freedom` degrees of freedom.
     """

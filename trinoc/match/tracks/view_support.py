@@ -108,7 +108,7 @@ def chance_rates(
     """Return the share of random lines for which each view has a segment, (v,).
 
     Random lines are copies of the tracks, displaced in depth along the rays from the mean centre of
-    their cameras.
+    their cameras. `gate` is the chi-square limit for a segment on a line.
     """
     rules, random = tuning.view_support, np.random.default_rng(0)
     # A sample of some hundreds is precise enough, and its time does not grow with the scene.
@@ -144,10 +144,11 @@ def right_rates(
     posterior: Float[np.ndarray, "t"],
     rules: ViewSupportTuning,
 ) -> Float[np.ndarray, "v v"]:
-    """Return the share of right lines with a segment in view v, among lines in view u, (v, u).
+    """Return the share of true lines with a segment in view v, among those seen in u, (v, u).
 
-    Only lines with segments in at least three other views are counted, because such lines are
-    tracks even without a segment in view v. `in_image` is the result of `lines_in_images`.
+    Each line has its posterior as weight. Only lines with segments in at least three other views
+    are counted, because such lines are tracks even without a segment in view v. `in_image` is the
+    result of `lines_in_images`.
     """
     is_member = index >= 0
     has_three_others = (is_member.sum(axis=1, keepdims=True) - is_member) >= 3
@@ -204,7 +205,7 @@ def member_posteriors(
 
     The probability is computed for tracks in four or more views, and NaN elsewhere. The alternative
     is a segment that is there by chance, while the segment of the line is missing. The evidence is
-    the increase of the misfit by the segment.
+    the increase of the misfit by the segment, which for a chance segment is uniform below `gate`.
     """
     index = tracks.index
     posterior = np.full(index.shape, np.nan)

@@ -52,8 +52,9 @@ class CandidateTuning:
 
 @dataclass(frozen=True)
 class ScoutTuning:
-    """Tuned constants of the search in images with many segments, which a sample of segments
-    restricts.
+    """Tuned constants of the search in images with many segments.
+
+    A sample of the segments restricts this search to a region and to likely candidates.
 
     Their effect is visible in benchmarks/matching.py: rows of 2,900 segments per view, and times.
     """

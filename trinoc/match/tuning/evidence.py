@@ -35,8 +35,9 @@ class ObservationTuning:
 class SideTuning:
     """Tuned constants of the evidence of grey levels beside segments.
 
-    Levels are percentages of the range of all levels. The effect of the constants is visible in
-    benchmarks/matching.py: "with side levels" of merton1, and the rendered scenes (--rendered).
+    The constants that are grey levels are percentages of the range of all levels in an image. Their
+    effect is visible in benchmarks/matching.py: row "with side levels" of the images merton1, and
+    the rendered scenes (--rendered).
     """
 
     # Standard deviations of the levels of one surface between views. By hand.

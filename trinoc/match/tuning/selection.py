@@ -63,9 +63,9 @@ class SelectionTuning:
 class RepetitionTuning:
     """Tuned constants for patterns that repeat along epipolar lines.
 
-    Their effect is visible in benchmarks/repetition.py. They were chosen with its seeds 1 to 3, the
-    last constant with seed 1. Boxes, loose lines and blocks (seeds 701 to 703) were used for
-    comparison.
+    Their effect is visible in benchmarks/repetition.py. They were chosen on its scenes of seeds
+    1 to 3, the last constant on seed 1 only. Scenes without patterns (boxes, loose lines and
+    blocks, seeds 701 to 703) were used for comparison.
     """
 
     # Smallest log odds of the candidates that are tested and of their rivals. A candidate is

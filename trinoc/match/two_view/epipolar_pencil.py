@@ -61,32 +61,38 @@ class PencilSegments(NamedTuple):
 
     @property
     def cosine_low(self) -> Scalar:
-        """Cosine of the angle `low`."""
+        """Cosine of `low`, the smaller plane angle of the segment's two ends."""
         return self.columns[2]
 
     @property
     def sine_low(self) -> Scalar:
-        """Sine of the angle `low`."""
+        """Sine of `low`, the smaller plane angle of the segment's two ends."""
         return self.columns[3]
 
     @property
     def cosine_high(self) -> Scalar:
-        """Cosine of the angle `high`."""
+        """Cosine of `high`, the larger plane angle of the segment's two ends."""
         return self.columns[4]
 
     @property
     def sine_high(self) -> Scalar:
-        """Sine of the angle `high`."""
+        """Sine of `high`, the larger plane angle of the segment's two ends."""
         return self.columns[5]
 
     @property
     def p(self) -> Scalar:
-        """Coefficient p of the segment's slope p cos(phi) + q sin(phi) at the plane angle phi."""
+        """Coefficient p of the segment's slope p cos(phi) + q sin(phi).
+
+        This is the slope of the viewing ray of the segment's point at the plane angle phi.
+        """
         return self.columns[6]
 
     @property
     def q(self) -> Scalar:
-        """Coefficient q of the segment's slope p cos(phi) + q sin(phi) at the plane angle phi."""
+        """Coefficient q of the segment's slope p cos(phi) + q sin(phi).
+
+        This is the slope of the viewing ray of the segment's point at the plane angle phi.
+        """
         return self.columns[7]
 
     @property
@@ -96,7 +102,7 @@ class PencilSegments(NamedTuple):
 
     @property
     def slope_variance(self) -> Vector3:
-        """Variances and covariance (c00, c01, c11) of the slopes at the angles `low` and `high`.
+        """Variances and covariance (c00, c01, c11) of the slopes of the rays at `low` and `high`.
 
         The values follow from the errors of the ends across the segment.
         """
@@ -105,7 +111,11 @@ class PencilSegments(NamedTuple):
 
     @property
     def end_variance_px2(self) -> tuple[Scalar, Scalar]:
-        """Variance of the position along the segment at the fixed angles `low` and `high`, px^2."""
+        """Variances of the positions along the segment at which it has the angles `low` and `high`,
+        px^2.
+
+        An error across the segment moves its intersections with these two epipolar planes.
+        """
         return self.columns[14], self.columns[15]
 
     def with_slope_error(self, variance: Scalar) -> "PencilSegments":
@@ -183,9 +193,11 @@ def build_pencil(
 def take_pencil(
     planes: Pencil, lines: SegmentTable, view: Int[ArrayLike, ""], segment: Int[ArrayLike, "..."]
 ) -> Pencil:
-    """Return the pencil with the camera data of each segment's frame, for a stack of frames.
+    """Select the camera data of `planes` for each segment, if the frames are stacked.
 
-    `view` is the first view of the pencil, `segment` the indices of segments in that view.
+    The frame, origin and baseline of the result have the axes of `segment`, one row for each
+    segment. For a single frame, `planes` is returned unchanged. `view` is the first view of the
+    pencil, `segment` the indices of segments in that view.
     """
     if lines.frame is None:
         return planes
@@ -332,8 +344,8 @@ def pairs_sharing_planes(
 ) -> Iterator[tuple[Int[np.ndarray, "_p"], Int[np.ndarray, "_p"]]]:
     """Yield the pairs of segments that share epipolar planes, in blocks of about `pairs_at_once`.
 
-    With `ends_px`, a pair must also have two corresponding ends on one plane. Corresponding ends
-    are both low ends or both high ends, within `ends_px` along either segment.
+    With `ends_px`, a pair must also have corresponding ends: the low ends of both segments, or the
+    high ends, lie on one epipolar plane. An end may be off by `ends_px` along its segment.
 
     Parameters
     ----------
@@ -348,7 +360,7 @@ def pairs_sharing_planes(
     pairs_at_once : int
         Approximate number of pairs of a block.
     ends_px : float, optional
-        Largest distance of corresponding ends.
+        Largest displacement of an end along its segment.
     """
     first, second = (view_rows.astype(np.int32) for view_rows in rows)
     angles_of_views = [

@@ -48,7 +48,10 @@ class Graph(NamedTuple):
 
 
 def build_graph(joined: JoinedLines, corners: Corners, free_end_px: float) -> Graph:
-    """Build the graph with one vertex for each corner and for each line end without a corner."""
+    """Build the graph with one vertex for each corner and for each line end without a corner.
+
+    `free_end_px` is the standard deviation of where a detector ends an edge, along the edge.
+    """
     count = len(joined)
     vertex = np.full((count, 2), -1)
     vertex[corners.line, corners.end] = corners.corner

@@ -84,9 +84,9 @@ def is_straight(lines: FittedLines, tuning: AcceptTuning = DEFAULT.accept) -> Bo
 
 
 def _continues_curve(lines: FittedLines, tuning: AcceptTuning) -> Bool[np.ndarray, "r"]:
-    """Return the mask of the lines whose curve continues in the line before or after, (r,).
+    """Return the mask of the lines whose neighbouring line continues the same curve, (r,).
 
-    The turn between the two lines must agree with the turn that the bow predicts.
+    The angle between the two lines must agree with the angle that the line's bow predicts.
     """
     bends = np.zeros(len(lines.support), dtype=bool)
     ends = lines.pieces.ends_px
@@ -110,8 +110,8 @@ def _continues_curve(lines: FittedLines, tuning: AcceptTuning) -> Bool[np.ndarra
 
 
 def least_snr2(false_alarms: float, pixels: int) -> float:
-    """Return the smallest evidence of a line that is accepted in an image of the given size.
+    """Return the smallest `FittedLines.snr2` of an accepted line, for an image of `pixels` pixels.
 
-    On average, noise alone causes `false_alarms` lines with larger evidence.
+    On average, noise alone causes `false_alarms` lines with a larger value.
     """
     return _DECAY * float(np.log(max(_RATE_PER_MEGAPIXEL * pixels / 1e6 / false_alarms, 1.0)))

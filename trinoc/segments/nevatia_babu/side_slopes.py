@@ -88,7 +88,7 @@ def side_slopes(
 def is_on_ramp(slopes: SideSlopes, tuning: AcceptTuning = DEFAULT.accept) -> Bool[np.ndarray, "r"]:
     """Return the mask of the lines on an intensity ramp, (r,).
 
-    On a ramp, the slopes on both sides exceed a share of the slope on the line. Both sides are
+    On a ramp, the slopes on both sides exceed a fraction of the slope on the line. Both sides are
     tested, because another edge nearby makes one side of a real edge steep.
     """
     return np.minimum(slopes.dark, slopes.bright) > tuning.ramp_slope * slopes.line
@@ -112,13 +112,13 @@ def shading_shifts(
         Share of each line's points with another line nearby. The step of that line would be
         mistaken for a slope.
     tuning : ErrorTuning
-        Share of the shift to correct, and its upper limit.
+        Fraction of the predicted shift to correct, and its upper limit.
 
     Notes
     -----
-    The step hides the slope at the line itself. Only a share of the shift predicted from the
-    difference of the slopes on both sides is therefore corrected. The sigma of the correction is
-    the same share of the shift that the sum of both slopes would cause.
+    The difference of the slopes on both sides predicts the shift. The step hides the slope at the
+    line itself, so only a fraction of the predicted shift is corrected. The sigma of the correction
+    is the same fraction of the shift that the sum of both slopes would cause.
     """
     profile_px2 = lines.kernel_variance_px2 + np.maximum(lines.blur_px2, 0.0)
     per_slope = profile_px2 / np.maximum(lines.contrast * lines.light_per_level, 1e-6)
