@@ -263,7 +263,7 @@ def _select_inliers(
 
     The residual of an inlier can be explained by noise and by the typical misfit of the image.
 
-    share : lower bound of the largest residual of an inlier, as a fraction of the contrast between
+    share : an inlier's residual may always be this large, as a fraction of the contrast between
         paper and ink.
     """
     contrast = np.abs(state.paper * state.ink) + 1e-12
