@@ -36,8 +36,8 @@ def noise_sigma(
     grey : (h, w)
         Grey levels.
     quantum : float, optional
-        Step between two grey levels. The median is corrected for it. 0: no correction, for real
-        numbers. Default: 1 if all levels are integers, else 0.
+        Step between two grey levels, for which the estimate is corrected. 0: no correction, for
+        real numbers. Default: 1 if all levels are integers, else 0.
     stride : (int, int)
         Only every n-th row and every m-th column are used.
     flat : (h, w) bool, optional

@@ -102,7 +102,8 @@ def blur_of_two_slopes(squared_ratio: float, fine_px: float, coarse_px: float) -
     Parameters
     ----------
     squared_ratio : float
-        Square of the slope after the fine filter divided by the slope after the coarse filter.
+        Squared ratio of the slopes: (slope after the fine filter / slope after the coarse
+        filter)^2.
     fine_px, coarse_px : float
         Standard deviations of the filters.
 
@@ -224,8 +225,8 @@ class BlockFit(NamedTuple):
     Attributes
     ----------
     information : (3, 3)
-        Information of the offsets of the edge at both ends and the log of the blur, for noise of
-        variance 1.
+        Information matrix, for noise of variance 1, of three parameters: the offsets of the edge at
+        both ends and the log of the blur.
     gradient : (3,)
         Gradient of the log likelihood with respect to these parameters.
     square : ()
@@ -282,7 +283,7 @@ def fit_block(
     usable : (r, c)
         Mask of the pixels that may be fitted.
     reach : (c,)
-        Mask of the columns outside the core that are fitted as well.
+        Mask of the columns whose usable pixels are all fitted, also those outside the core.
     state : (3,)
         Offsets of the edge from the line at both ends, px, and log of the blur.
     noise : float

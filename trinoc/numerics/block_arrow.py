@@ -29,8 +29,8 @@ Unknowns = tuple[Float[ArrayLike, "q"], Float[ArrayLike, "k w"]]
 class BlockArrow(lx.AbstractLinearOperator):
     """Symmetric positive semidefinite matrix in block-arrow form.
 
-    The unknowns are a head of q numbers, which all groups share, and k blocks of w numbers. Two
-    blocks are not coupled.
+    The unknowns are a head of q numbers and k blocks of w numbers. Each block is coupled to the
+    head, but not to other blocks.
 
     Attributes
     ----------

@@ -83,7 +83,7 @@ def in_bucket(function: Callable[[np.ndarray], ArrayLike], rows: np.ndarray) -> 
 
 
 def blocks(count: int, size: int) -> Iterator[slice]:
-    """Slices of at most `size` items that together cover range(count).
+    """Yield consecutive slices of at most `size` items that together cover range(count).
 
     The result is one empty slice if `count` is 0.
 
@@ -127,12 +127,13 @@ def in_blocks(function: Callable[..., _Tree], size: int, *columns: np.ndarray) -
 
 
 def as_columns(tree: Any) -> Float[ArrayLike, "c h"]:
-    """Stack the arrays of a tree as rows of one array, (c, h).
+    """Stack the arrays of a tree as rows of one array, (c, h): c numbers for each of h items.
 
     Parameters
     ----------
     tree : tree of (..., h)
-        Arrays whose last axis counts the items.
+        Arrays whose last axis counts the h items. Each array gives as many rows as it has numbers
+        per item.
     """
     xp = array_namespace(tree)
     leaves = [xp.asarray(leaf) for leaf in jax.tree.leaves(tree)]

@@ -21,8 +21,8 @@ class Observability(NamedTuple):
         Number of directions in the local coordinates that the observations determine.
     covariance : (k, k)
         Covariance of the named parameters. NaN in rows and columns of undetermined parameters:
-        those that depend on an undetermined direction, or whose sigma is too large for a linear
-        error.
+        those that depend on an undetermined direction, or whose sigma is too large for linear
+        error propagation.
     gauge : tuple of int
         Indices of the undetermined parameters.
     """
@@ -48,12 +48,12 @@ def observability(
     parameter_jacobian : (k, p)
         Derivative of the named parameters with respect to the local coordinates.
     largest_sigma : (k,)
-        Largest sigma of each parameter for which a linear error is valid.
+        Largest sigma of each parameter for which linear error propagation is valid.
 
     Notes
     -----
-    The information is not damped. The covariance of an undetermined parameter is therefore NaN and
-    not a number without meaning. An example is the pan of a camera that looks straight down.
+    The information matrix is not damped. The covariance of an undetermined parameter is therefore
+    NaN instead of a meaningless number. An example is the pan of a camera that looks straight down.
     """
     values, vectors = np.linalg.eigh(information)
     is_real = values > 1e-14 * values.max(initial=0.0)

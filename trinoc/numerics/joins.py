@@ -76,10 +76,11 @@ def overlapping(
 def blocks_of_overlapping(
     first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"], pairs_per_block: int
 ) -> Iterator[slice]:
-    """Slices of the first intervals, each with about `pairs_per_block` overlapping pairs.
+    """Yield consecutive slices that together cover the intervals `first`.
 
-    A slice with a single interval may have more pairs. The result is one empty slice if `first` is
-    empty.
+    The intervals of a slice form about `pairs_per_block` overlapping pairs with the intervals
+    `second`. A slice with a single interval may have more pairs. The result is one empty slice if
+    `first` is empty.
 
     Parameters
     ----------
@@ -133,7 +134,7 @@ def pairs_of_equal_keys(
 def members(
     start: Int[np.ndarray, "r"], stop: Int[np.ndarray, "r"]
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Int[np.ndarray, "r"]]:
-    """List the members of all runs. A run is a range [start, stop) of ordered points.
+    """List the members of all runs. A run is a range [start, stop) of indices of ordered points.
 
     Parameters
     ----------
@@ -142,8 +143,8 @@ def members(
 
     Returns
     -------
-    (m,) index of the point of each member, (m,) index of its run, and (r,) position of the first
-    member of each run in these lists.
+    (m,) index of the point that each member is, (m,) index of the member's run, and (r,) position
+    of each run's first member in these two arrays.
     """
     run, index = expand_ranges(start, stop)
     count = stop - start
@@ -177,7 +178,7 @@ def group_maxima(
 
 
 def broadcast_groups(values: Any, group: Group) -> Any:
-    """Value of the group of each row, (m, ...).
+    """For each row, the value of its group, (m, ...).
 
     Parameters
     ----------

@@ -86,8 +86,8 @@ class NormalEquations(NamedTuple):
     def step(self, largest: Float[np.ndarray, "*h p"] | float = np.inf) -> Float[np.ndarray, "h p"]:
         """Gauss-Newton step of each problem, (h, p).
 
-        Undetermined directions do not change. A problem whose equations are not finite does not
-        change.
+        The step is zero along undetermined directions, and in all directions for a problem whose
+        equations are not finite.
 
         Parameters
         ----------

@@ -72,7 +72,8 @@ class Column:
         Names of the numbers in one row, or a function of the table that returns them. For a
         covariance, the names of its variables.
     side : str
-        For a tuple of names, such as view names: name of the axis that they label.
+        For a field that is a tuple of names, such as view names: name of the axis whose entries
+        these names label.
     per_row : bool
         For a dictionary of arrays: True if each array has one row per row of the table. The keys
         are then names of columns.
@@ -143,8 +144,8 @@ class Table(Value):
     SIDES : mapping
         Plural noun for the items along each named axis. The first axis counts the rows.
     DERIVED : mapping
-        Properties with one entry per row that files do not contain: names of their numbers, by the
-        name of the property.
+        Computed properties with one entry per row, which are not stored in files. Key: name of the
+        property. Value: names of the numbers in one entry.
     """
 
     KIND: ClassVar[str] = ""
@@ -222,7 +223,9 @@ class Table(Value):
         )
 
     def named_columns(self, *, brief: bool = False) -> dict[str, np.ndarray]:
-        """One column for each number in a row, by name. The columns of `DERIVED` come last.
+        """Table as scalar columns (n,) by name, one for each number in a row.
+
+        The columns of the properties in `DERIVED` come last.
 
         Parameters
         ----------
@@ -278,9 +281,11 @@ def _brief_number(value: Any) -> str:
 
 
 def _name_parts(name: str, array: np.ndarray, parts: Sequence[str]) -> dict[str, np.ndarray]:
-    """One column for each number in a row of an array, by name.
+    """Split an array (n, ...) into scalar columns (n,) by name, one for each number in a row.
 
     A covariance has columns for its upper triangle.
+
+    name, parts : name of the array, and names of the numbers in a row.
     """
     if array.ndim == 1:
         return {name: array}
@@ -409,7 +414,7 @@ def check_index(side: str, problem: str, *, smallest: int = 0) -> ColumnCheck:
     problem : str
         Description of a row that fails, as the end of a sentence.
     smallest : int
-        Smallest allowed value; -1 if a value may mean that no item exists.
+        Smallest allowed value; -1 for fields in which -1 means "no item".
     """
     return ColumnCheck(
         problem, lambda values, table: (values >= smallest) & (values < table.sides[side])

@@ -28,7 +28,7 @@ def vector3(array: Float[ArrayLike, "... 3"]) -> Vector3:
 
 
 def in_front(a: Vector3) -> Vector3:
-    """Components of a vector with a new first axis of length 1, so that they broadcast."""
+    """Copy of a vector whose components have a new first axis of length 1, for broadcasting."""
     return a[0][None], a[1][None], a[2][None]
 
 
@@ -116,14 +116,14 @@ def times_matrix(matrix: Float[ArrayLike, "... 3 3"], a: Vector3) -> Vector3:
 def interpolated_covariance(
     covariance: tuple[Scalar, Scalar, Scalar], s: Scalar, t: Scalar
 ) -> Scalar:
-    """Covariance of two positions that are interpolated between the points 0 and 1.
+    """Covariance of two points, each interpolated linearly between point 0 and point 1.
 
     Parameters
     ----------
     covariance : (scalar, scalar, scalar)
         Variance of point 0, covariance of both points, variance of point 1.
     s, t : scalar
-        Positions from 0 (point 0) to 1 (point 1).
+        Position of each interpolated point: 0 at point 0, 1 at point 1.
     """
     c00, c01, c11 = covariance
     return (1 - s) * (1 - t) * c00 + (s * (1 - t) + t * (1 - s)) * c01 + s * t * c11

@@ -1,4 +1,4 @@
-"""Rigs with known parameters: Table 1 of the 1986 paper, and random ones."""
+"""Rigs with known parameters: Table 1 of Yokoi, Medioni and Nevatia (1986), and random ones."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ IMAGE_SIZE_PX = (512, 480)
 
 
 def table1_lens(*, resolution: int = 1, distortion: tuple[float, ...] | None = None) -> Intrinsics:
-    """Return the lens and sensor of the 1986 paper: 512 x 480 pixels that are not square.
+    """Return the lens and sensor of Yokoi et al. (1986): 512 x 480 pixels that are not square.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def table1_lens(*, resolution: int = 1, distortion: tuple[float, ...] | None = N
 
 
 def table1_rig(*, resolution: int = 1, distortion: tuple[float, ...] | None = None) -> Rig:
-    """Return the cameras "upper", "left" and "right" of Table 1 of the 1986 paper.
+    """Return the cameras "upper", "left" and "right" of Table 1 of Yokoi et al. (1986).
 
     Parameters
     ----------
@@ -64,8 +64,8 @@ def random_rig(seed: int, *, wide: bool = False, lens: Intrinsics | None = None)
     seed : int
         Seed of the random numbers.
     wide : bool
-        False: each angle differs by at most 8 degrees from Table 1 of the 1986 paper, each distance
-        by at most 10 %. True: pan from -60 to 60 degrees, tilt from 20 to 80, swing from -15 to 15,
+        False: each angle differs by at most 8 degrees from `table1_rig`, each distance by at most
+        10 %. True: pan from -60 to 60 degrees, tilt from 20 to 80, swing from -15 to 15,
         distances from 400 to 600 mm.
     lens : Intrinsics, optional
         Lens of all cameras. Default: `table1_lens()`.

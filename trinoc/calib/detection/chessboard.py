@@ -37,8 +37,8 @@ def detect_chessboard(
 
     If a rotation maps the colours of the board onto themselves, several labellings are possible.
     The first is the labelling whose X axis points most to the right in the image; the others are in
-    `Detection.ambiguity`. The same applies to a board whose top left square is light. A mirrored
-    chessboard cannot be recognised.
+    `Detection.ambiguity`. A board whose top left square is light, contrary to `Chessboard`, has
+    several labellings as well. A mirrored chessboard cannot be recognised.
 
     Parameters
     ----------

@@ -19,9 +19,9 @@ def refine_corners(
 ) -> FittedCorners:
     """Refine corner positions that are accurate to some pixels.
 
-    The first step is `cv2.cornerSubPix`: the point nearest to the lines through all pixels
-    perpendicular to their grey-level gradients. The second step fits the grey levels
-    (`fit_corners`), which is three times as accurate.
+    The first step is `cv2.cornerSubPix`. It draws a line through each pixel, perpendicular to the
+    grey-level gradient, and finds the point nearest to all lines. The second step fits the grey
+    levels (`fit_corners`), which is three times as accurate.
 
     Parameters
     ----------

@@ -141,7 +141,7 @@ def _robust_line(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "3"]:
 def are_clear_of_lines(
     pattern: Pattern, index: Int[np.ndarray, "n"], tuning: CalibTuning
 ) -> Bool[np.ndarray, "n"]:
-    """Mask of the circles around which no crossed line passes.
+    """Mask of the circles that are far enough from the crossed lines, (n,).
 
     The grey level of the paper can be read around these circles.
 

@@ -155,11 +155,13 @@ def refine_ellipses(
     start : (n,) initial ellipses.
     hole_ratio : inner radius of the rings divided by the outer radius; 0 excludes holes from the
         model.
-    slope_sigma : (n,) prior standard deviation of the slope of the light, whose prior mean is that
-        of `start`. The holes are then fixed. If None, holes are estimated and the slope is fixed.
+    slope_sigma : (n,) prior standard deviation of the slope of the light; the prior mean is
+        `start.slope`. The slope is estimated and the holes are fixed. If None, the holes are
+        estimated and the slope is fixed.
     noise_sigma : standard deviation of the image noise, grey levels.
-    outlier_shares : largest residual of an inlier in each step, as a share of the contrast. This
-        limit increases with the noise (4.5 sigma) and with the typical misfit of the image.
+    outlier_shares : largest residual of an inlier in each step, as a fraction of the contrast
+        between paper and ink. This limit increases with the noise (4.5 sigma) and with the typical
+        misfit of the image.
     tuning : tuned constants of calibration.
 
     Returns
@@ -261,7 +263,8 @@ def _select_inliers(
 
     The residual of an inlier can be explained by noise and by the typical misfit of the image.
 
-    share : smallest limit of the residuals, as a share of the contrast.
+    share : an inlier's residual may always be this large, as a fraction of the contrast between
+        paper and ink.
     """
     contrast = np.abs(state.paper * state.ink) + 1e-12
     relative = np.abs(residual) * _column(1.0 / contrast)
@@ -343,9 +346,11 @@ def _with_covariance(
     noise_sigma: float,
     free_hole: bool,
 ) -> Ellipses:
-    """Copy of the ellipses with covariances, residual sigma and share of inliers.
+    """Copy of the fitted ellipses with covariances, residual sigma and share of inliers.
 
     normal : normal matrices of the last step.
+    residual, inliers : residuals of the pixels after this step, and mask of the inlier pixels.
+    free_hole : True if the step estimated the holes; `hole_sigma` is then computed as well.
     """
     variance = _masked_mean(residual**2, inliers)
     # By chance, residuals can be smaller than the noise: it is the lower limit.

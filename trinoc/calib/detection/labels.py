@@ -165,7 +165,8 @@ def label_circles(
 ) -> Int[np.ndarray, "m"]:
     """Find the pattern index of each circle of a lattice.
 
-    Only one placement of the lattice on the pattern must agree with the rings.
+    The labelling fails if several placements of the lattice on the pattern agree with the detected
+    rings and discs. Placements that differ by a symmetry of the pattern count as one.
 
     Parameters
     ----------
@@ -176,8 +177,7 @@ def label_circles(
 
     Returns
     -------
-    (m,) pattern indices, -1 for a circle outside the pattern. They are unique except for the
-    symmetries of the pattern.
+    (m,) pattern indices of one of the equivalent placements, -1 for a circle outside the pattern.
 
     Raises
     ------

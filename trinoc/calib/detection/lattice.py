@@ -174,7 +174,7 @@ def _grow(
 
     corner : lattice of one cell.
     free : mask of the blobs that are not yet used.
-    span : largest number of circles along each lattice axis.
+    span : largest number of circles that a lattice may have along each axis.
     """
     inverse_shape = np.linalg.inv(blobs.shape_px2)
     a11, a12, a22 = (inverse_shape[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))

@@ -149,7 +149,8 @@ def corners_by_id(
 def count_markers_in_place(markers: Mapping[int, Float[np.ndarray, "4 2"]], board: Charuco) -> int:
     """Number of markers whose positions relative to their neighbours agree with the board.
 
-    A marker and its neighbours are approximately an affine image of the board, for every lens.
+    Whatever the lens, the image of a marker and its neighbours is approximately an affine
+    transformation of the board.
 
     Parameters
     ----------

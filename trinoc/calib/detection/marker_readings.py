@@ -55,7 +55,7 @@ _Markers = Mapping[int, Float[np.ndarray, "4 2"]]
 
 
 class MarkerReading(NamedTuple):
-    """A board in an image whose layout differs from the stated board, with the differences.
+    """Layout of the board that an image shows, with its differences from the stated layout.
 
     Attributes
     ----------
@@ -354,14 +354,18 @@ def _renumber(markers: _Markers, step: int) -> _Markers:
 def _best_layout(
     markers: _Markers, board: Charuco, tuning: CalibTuning, *, most_changes: int
 ) -> tuple[tuple[str, ...], Charuco, int]:
-    """Find the layout that agrees with the most markers.
+    """Find the variant of a board's layout that agrees with the most markers.
 
-    The other value of `legacy` and exchanged rows and columns are tried. With equal numbers of
-    markers, the layout with fewer changes is preferred.
+    The variants are the board itself, the opposite value of `legacy`, and exchanged rows and
+    columns. With equal numbers of markers, the variant with fewer changes is preferred.
+
+    markers : corners of each marker by its id, from `_find_markers`.
+    most_changes : largest number of changes in one variant: 1, or 2 to try both changes together.
 
     Returns
     -------
-    Changes, board, and number of markers that agree with this layout.
+    Descriptions of the changes, the board with these changes, and the number of markers that agree
+    with it.
     """
     changes, layout, count = (), board, _count_consistent_markers(markers, board, tuning)
     for change_count in range(1, most_changes + 1):
@@ -396,7 +400,7 @@ def _find_markers(
 def _count_consistent_markers(markers: _Markers, board: _MarkerBoard, tuning: CalibTuning) -> int:
     """Number of markers that agree with a layout; 0 if they are too few.
 
-    markers : for a ChArUco board, markers from `_find_markers`.
+    markers : corners of each marker by its id; for a ChArUco board, the result of `_find_markers`.
     """
     if isinstance(board, AprilGrid):
         count = len(select_tags_in_place(markers, board, tuning)[0])

@@ -42,7 +42,7 @@ class PlaneMapping(NamedTuple):
         return apply_homography(self.homography, points) + self.distortion(points)
 
     def log_enlargement(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
-        """Logarithm of the image area of a unit area of the plane, px^2, at each point."""
+        """Logarithm of the local magnification: image area, px^2, per area of the plane, (n,)."""
         depth = points @ self.homography[2, :2] + self.homography[2, 2]
         area = np.abs(np.linalg.det(self.homography) / depth**3)
         return np.log(np.maximum(area, 1e-12))

@@ -62,12 +62,13 @@ def detect_or_explain(
     *,
     tuning: CalibTuning = TUNING,
 ) -> Detection:
-    """Detect a board like `detect_target`, with one search for wrong layouts for several images.
+    """Detect a board like `detect_target`; the images of a recording share one layout search.
 
     Parameters
     ----------
     image, target, tuning : see `detect_target`.
-    search : search for the true layout of a board that is not detected; None for no search.
+    search : search for the true layout of a board that is not detected. It remembers its results
+        for later images. None for no search.
     camera : name of the camera.
     """
     mixed = describe_mixed_pixels(grey_image(np.asarray(image)))

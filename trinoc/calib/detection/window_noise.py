@@ -103,7 +103,8 @@ def sandwich_covariance(
 ) -> Float[np.ndarray, "n 2 2"]:
     """Covariance of the fitted position in each window, px^2, for correlated pixel noise.
 
-    The strength of the noise may vary. The text of the module derives the estimate.
+    The strength of the noise may vary over the image. The docstring of the module derives the
+    estimate.
 
     Parameters
     ----------
@@ -157,17 +158,17 @@ def sandwich_covariance(
 def _sum_pairs(
     pixels: WindowPixels, moves: Float[np.ndarray, "n k m 2"]
 ) -> Float[np.ndarray, "m s n"]:
-    """Sums over the pixels of each window.
+    """Sums over the pixels and over the pairs of neighbouring pixels of each window.
 
     Parameters
     ----------
-    moves : (n, k, m, 2) m changes of the position of each window, each caused by one of its k
-        pixels.
+    moves : (n, k, m, 2) m sets of changes (x, y) of the fitted position of each window. Each of
+        its k pixels causes one change.
 
     Returns
     -------
-    (m, 2, n): sum of the squares of all changes, and weighted sum of the products of changes by
-    neighbouring pixels.
+    (m, 2, n) for each set and window: sum of the squared changes, and sum of the products of the
+    changes of two neighbouring pixels, weighted by `_weight`.
     """
     count, sets = len(moves), moves.shape[2]
     # All windows are filtered as one image, with empty rows between them.
@@ -191,7 +192,7 @@ def _weight(distance_px: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 
 
 def _mean(ratio: Float[np.ndarray, "n"]) -> float:
-    """Mean over the windows, after each value is clipped at a multiple of the median."""
+    """Mean of a ratio over the windows; values beyond a multiple of the median are clipped."""
     limit = _LARGEST_RATIO * max(float(np.median(ratio)), 0.0)
     return float(np.mean(np.clip(ratio, -limit, limit)))
 

@@ -28,7 +28,7 @@ _NEAREST_TO_CENTRE, _LEAST_ROOT, _SURE_SHARE = 0.25, 0.1, 0.95
 
 
 class Edge(NamedTuple):
-    """Geometry of an edge of ink relative to a pixel; constant in the linearised model.
+    """Geometry of an edge of ink relative to a pixel. Derivatives treat it as constant.
 
     The edge is the curve F(X, Y) = 0 on the sheet, with ink where F < 0 (mm). Its foot is the point
     of the edge's image that is nearest to the pixel.
@@ -273,7 +273,7 @@ def _kurtosis_term(edge: Edge, kernel: Kernel, variance: Scalar) -> Scalar:
 
 
 def _double_angle(edge: Edge) -> tuple[Scalar, Scalar]:
-    """Cosine and sine of twice the angle of the edge's normal."""
+    """Cosine and sine of twice the angle between the edge's normal and the u axis."""
     even = edge.normal_u * edge.normal_u - edge.normal_v * edge.normal_v
     return even, 2 * edge.normal_u * edge.normal_v
 

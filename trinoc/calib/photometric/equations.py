@@ -146,8 +146,8 @@ class ImageProblem(AbstractArrowProblem[ImageState]):
     def equations(self, state: ImageState) -> ArrowEquations:
         """Normal equations of the estimated unknowns at a state.
 
-        `details` of the result contains the equations of all unknowns; their `details` is the
-        `Prediction`.
+        `details` of the result contains the equations of all unknowns, including fixed ones. The
+        `details` of those equations is the `Prediction`.
         """
         all_equations = predict_image(self, state)
         return self.remove_fixed(all_equations)._replace(details=all_equations)
@@ -221,7 +221,7 @@ class _Sums(NamedTuple):
     ----------
     products : sum of w J^T J, with k columns in J.
     of_blocks : per block, sum of w L^T (L, J), where L contains the derivatives with respect to the
-        block's six local levels.
+        block's six local levels (see `local_rows`).
     cost : sum of the robust loss.
     """
 
@@ -307,8 +307,8 @@ def _equations(
 ) -> ArrowEquations:
     """Normal equations for steps of the pose, the other unknowns and the local levels, with priors.
 
-    sums : sums of both groups, with derivatives with respect to the homography in place of the
-        pose.
+    sums : sums of both groups of pixels. Their derivatives are with respect to the homography and
+        are converted here to derivatives with respect to the pose.
     by_motion : derivative of the homography with respect to a step of the pose.
     """
     # From (homography, values, residual) to (pose, values, residual).

@@ -89,7 +89,7 @@ def find_refuted_part(
 
 
 class ImageEvidence(NamedTuple):
-    """Unknowns that the residuals of an image require in addition; result of `find_evidence`.
+    """Unknowns that must be estimated in addition to those of a fit; result of `find_evidence`.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class ImageEvidence(NamedTuple):
 
 
 def find_evidence(scene: PixelScene, fit_state: ImageFitState) -> ImageEvidence:
-    """Test which fixed unknowns the residuals of an image require.
+    """Test by the residuals of a fit which of its fixed unknowns must be estimated.
 
     Each group of fixed unknowns has a score test. A further test detects uneven light. The variance
     of the scores includes the correlation of the residuals.
@@ -266,7 +266,7 @@ def _width_depends_on_direction(
 
 
 def _is_large(statistic: float, freedom: int, tuning: PhotometricTuning) -> bool:
-    """True if a chi-square statistic exceeds what happens by chance once in 10^7.
+    """True if a chi-square statistic is so large that chance explains it once in 10^7 tests only.
 
     freedom : degrees of freedom.
     """

@@ -434,9 +434,11 @@ def _state_after(
     sigma: Float[np.ndarray, "n"],
     inliers: Bool[np.ndarray, "n"],
 ) -> ImageFitState:
-    """Fit after a descent.
+    """State of the fit that results from a descent.
 
     If the last step was rejected, the model is evaluated again at the final state.
+
+    free, sigma, inliers : fields of the result, which the descent did not change.
     """
     state = jax.tree.map(np.asarray, solution.state)
     if not solution.has_details:

@@ -77,16 +77,17 @@ class ImageFitState(eqx.Module):
     def rows_by_local(self, scene: PixelScene) -> Float[np.ndarray, "2 n"]:
         """Derivatives of all grey levels after saturation, (2, n).
 
-        They are with respect to the light and the veil of each pixel's block.
+        They are with respect to the light and the veil (additional light on paper and ink alike)
+        of each pixel's block.
         """
         near_circles, near_lines = self.prediction.near_circles, self.prediction.near_lines
         rows = scene.join((near_circles.by_local, near_lines.by_local))
         return rows * self._slope(scene)
 
     def _slope(self, scene: PixelScene) -> Float[np.ndarray, "n"] | np.float32:
-        """Derivative of the mean grey level after saturation.
+        """Derivative of each mean grey level after saturation with respect to that before, (n,).
 
-        It is with respect to the level before saturation.
+        It is the scalar 1 for an ideal camera and for an image without saturation.
         """
         if self.state.unknowns.is_ideal or np.isinf(scene.top):
             return np.float32(1.0)

@@ -70,9 +70,13 @@ def _remove_outlier_neighbourhoods(
     inliers: Bool[np.ndarray, "n"],
     tuning: PhotometricTuning,
 ) -> Bool[np.ndarray, "n"]:
-    """Mask of the inliers without pixels whose square neighbourhood has a large share of outliers.
+    """Remove the inliers whose square neighbourhood contains a large share of outliers.
 
     outlier : (n,) mask of the outliers.
+
+    Returns
+    -------
+    (n,) mask of the remaining inliers.
     """
     if not outlier.any():
         return inliers

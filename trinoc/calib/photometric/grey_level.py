@@ -103,7 +103,8 @@ class Levels(NamedTuple):
     by_homography : nine arrays (n,), derivatives with respect to the elements of the
         sheet-from-camera homography.
     by_appearance : one array (n,) for each unknown of blur, ink and response.
-    by_light, by_veil : (n,) derivatives with respect to the light and to the veil at the pixel.
+    by_light, by_veil : (n,) derivatives with respect to the light and to the veil (additional light
+        on paper and ink alike) at the pixel.
     """
 
     level: Float[ArrayLike, "n"]
@@ -116,8 +117,8 @@ class Levels(NamedTuple):
 class _Ink(NamedTuple):
     """Share of ink in each pixel, and its derivatives.
 
-    The derivatives are with respect to a displacement on the sheet (x, y), to the spread of ink,
-    and to the parameters of the kernel.
+    The derivatives are with respect to a displacement on the sheet (x, y), mm, to the width by
+    which the ink spreads beyond its drawn edges, mm, and to the parameters of the kernel.
     """
 
     share: Float[ArrayLike, "*n"]
@@ -146,7 +147,8 @@ def predict_levels(
     ----------
     sheet_from_camera : homography from rays in the camera frame to the sheet.
     state : values of the unknowns.
-    light, veil : (n,) light and veil at each pixel, grey levels.
+    light : (n,) grey level of paper at each pixel.
+    veil : (n,) additional light on paper and ink alike at each pixel, grey levels.
     pixels : the pixels.
     cross, drawing : crossed lines and properties of the sheet.
     white : grey level of a full signal.

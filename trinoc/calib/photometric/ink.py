@@ -232,7 +232,7 @@ def _shift(edge: Edge, dx: Scalar, dy: Scalar) -> Scalar:
 
 
 def _by_line(covered: EdgeCoverage) -> EdgeCoverage:
-    """Rearrange coverages so that the first two axes are (crossed line, side of the line)."""
+    """Coverages of the sides of the lines, with the first axes (crossed line, side of the line)."""
     return jax.tree.map(lambda leaf: leaf[_SIDES].reshape(2, 2, *leaf.shape[1:]), covered)
 
 
@@ -311,12 +311,12 @@ def ink_of_squares(
 
 
 def _select_spread(sides: EdgeCoverage, ink_before: Scalar) -> EdgeCoverage:
-    """Select the coverage by an edge for the direction in which its ink spreads.
+    """Select the one of two coverages that has the true direction of the spreading ink.
 
-    sides : coverages of the region before the edge: with ink that spreads toward larger
-        coordinates, and toward smaller coordinates.
-    ink_before : positive if the ink is before the edge, so that it spreads toward larger
-        coordinates.
+    sides : two coverages of the side of the edge with smaller coordinates: for ink that spreads
+        toward larger coordinates, and for ink that spreads toward smaller coordinates.
+    ink_before : positive if the ink is on the side with smaller coordinates, so that it spreads
+        toward larger coordinates.
     """
     return jax.tree.map(lambda leaf: jnp.where(ink_before > 0, leaf[0], leaf[1]), sides)
 
@@ -329,16 +329,20 @@ def _crossing_of_squares(
     upper_left: Scalar,
     upper_right: Scalar,
 ) -> Scalar:
-    """Correction of the share of ink at a crossing of two grid lines.
+    """Correction of a pixel's share of ink for a crossing of two grid lines, along X and along Y.
 
-    `ink_of_squares` assumes that the edges above each crossing and to its right continue below and
-    to the left. This correction replaces the assumed quadrants by the true ones. At a crossing of a
-    checkerboard, the inked side of the edge along X changes. Spreading ink then moves the edge in
-    opposite directions on the left and on the right.
+    `ink_of_squares` first assumes that the edge above the crossing continues straight below it, and
+    that the edge to the right continues to the left. The lower left cell may then be wrong. The
+    correction is the missing ink of this cell times the share of the pixel in this quadrant.
+    If the four cells alternate like a checkerboard, the ink is above the line along X on one side
+    of the crossing and below it on the other. Spreading ink then moves the two halves of this edge
+    in opposite directions.
 
-    left_of, below : coverages of the side left of one line and below the other, both with the two
-        possible signs of the spread.
-    lower_left, lower_right, upper_left, upper_right : 1 for an inked cell, else 0.
+    left_of : coverage of the side left of the line along Y, for ink that spreads to the right and
+        for ink that spreads to the left.
+    below : coverage of the side below the line along X, for ink that spreads up and for ink that
+        spreads down.
+    lower_left, lower_right, upper_left, upper_right : the four cells; 1 for an inked cell, else 0.
     """
     lower, upper = lower_left - lower_right, upper_left - upper_right
     before, after = lower_left - upper_left, lower_right - upper_right

@@ -104,9 +104,10 @@ def saturation_level(grey: Float[np.ndarray, "n"], piled_share: float) -> float:
 
 
 def white_level(image: Float[np.ndarray, "h w"]) -> float:
-    """Grey level of a full signal, 2^bits - 1, for the smallest number of bits (at least 8).
+    """Grey level of full white, 2^bits - 1.
 
-    All levels of the image must be in the range of this number of bits.
+    The number of bits is the smallest one, but at least 8, that can represent all levels of the
+    image.
     """
     return float(2 ** max(int(np.ceil(np.log2(float(image.max()) + 1))), 8) - 1)
 

@@ -36,8 +36,8 @@ _NO_POINTS = SheetPoints(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 0)))
 class _SharedUnknowns(NamedTuple):
     """Derivatives and priors of the unknowns that all patches of one image share.
 
-    These unknowns are blur, ink, response, light and veil, and the light of each block if it is
-    estimated.
+    These unknowns are blur, ink, response, light, veil (additional light on paper and ink alike),
+    and the local levels (light and veil of each block of the sheet) if they are estimated.
 
     Attributes
     ----------
@@ -143,16 +143,17 @@ def _piece_of_line(point_mm: Float[np.ndarray, "n 2"], pattern: Pattern) -> Int[
 def _renumber_patches(
     label: Int[np.ndarray, "n"], information: Float[np.ndarray, "n"]
 ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Number the patches with enough information from 0.
+    """Drop the patches that the pixels hardly locate, and number the others consecutively from 0.
 
     Parameters
     ----------
-    label, information : (n,) patch index and information of each pixel.
+    label : (n,) patch index of each pixel.
+    information : (n,) information of each pixel on the displacement of its patch, 1/px^2.
 
     Returns
     -------
-    (n,) new patch index, and (n,) information of each pixel. Pixels of all other patches have the
-    index 0 and no information.
+    (n,) new patch index, and (n,) information of each pixel; both are 0 for the pixels of a dropped
+    patch.
     """
     total = np.bincount(label, information)
     is_useful = total > _LEAST_SHARE * total.max()
@@ -192,7 +193,8 @@ def _local_light(
 ) -> tuple["scipy.sparse.csr_matrix", Float[np.ndarray, "l"], Float[np.ndarray, "l"]]:
     """Derivatives of the pixels with respect to the local levels, and the priors of these levels.
 
-    The priors are given by their reciprocal variances and the gradient of their cost.
+    The local levels are the coefficients of the light and the veil of each block of the sheet; see
+    `local_rows`. The priors are given by their reciprocal variances and the gradient of their cost.
     """
     count, blocks = len(fit_state.inliers), scene.blocks
     if not scene.has_local_light or blocks is None:
@@ -237,7 +239,7 @@ def _displacements(
     rows, by_levels, weighted = shared.rows, shared.by_levels, by_px * weight
 
     def sum_by_patch(values: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m k"]:
-        """Weighted sums over each patch: derivatives with respect to u and to v, times `values`."""
+        """Sums over the pixels of each patch: `weighted` for u and for v, times `values`."""
         sums = [[np.bincount(patch, axis * row, count) for row in values] for axis in weighted]
         return np.array(sums).transpose(2, 0, 1).reshape(2 * count, len(values))
 
@@ -272,7 +274,10 @@ def _sums_with_levels(
     count: int,
     by_levels: "scipy.sparse.csr_matrix",
 ) -> Float[np.ndarray, "m l"]:
-    """Sums over each patch: `weighted` times the derivatives with respect to the local levels."""
+    """Sums over each patch: `weighted` times the derivatives with respect to the local levels.
+
+    weighted : (2, n) derivatives with respect to displacements in u and v, times pixel weights.
+    """
     if not by_levels.shape[1]:  # pyright: ignore[reportOptionalSubscript]
         return np.zeros((2 * count, 0))
     pixel, column = np.tile(np.arange(len(patch)), 2), np.concatenate([2 * patch, 2 * patch + 1])

@@ -213,7 +213,7 @@ def _bounding_box(
 ) -> tuple[Int[np.ndarray, "2"], tuple[int, int]]:
     """Region of the image around the outlines: first pixel (column, row) and shape (rows, columns).
 
-    A margin of 10 % includes the ends of the crossed lines, unless the lines are long.
+    The margin around the outlines is `margin_px` plus 10 % of their extent.
     """
     points = outlines.reshape(-1, 2)
     size = np.ptp(points, axis=0)

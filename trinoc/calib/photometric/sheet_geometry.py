@@ -227,8 +227,8 @@ def sheet_points_of_pixels(
 
     Returns
     -------
-    (n, 2) points (X, Y), mm, and (n,) largest length on the sheet that one pixel covers, over all
-    directions, mm per px.
+    (n, 2) points (X, Y), mm, and (n,) length of a pixel on the sheet in its longest direction, mm
+    per px.
     """
     point, (along_u, along_v) = sheet_points_and_slopes(column, row, pose, lens)
     squares = (along_u**2).sum(axis=0) + (along_v**2).sum(axis=0)

@@ -53,9 +53,9 @@ def square_pixels(
 ) -> SquarePixels:
     """Select the pixels near an edge of the board's ink.
 
-    A pixel is not selected if along one axis more than two grid lines with an edge are near it.
-    Where the cells of a marker are too small for this, at most pixels near the marker's outline are
-    selected.
+    A pixel is not selected if more than two grid lines with an edge along one axis are near it. If
+    the cells of a marker are small compared with `reach_px`, only pixels near its outline may
+    therefore be selected.
 
     Parameters
     ----------

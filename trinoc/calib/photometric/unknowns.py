@@ -82,8 +82,8 @@ class Unknowns(NamedTuple):
     Attributes
     ----------
     appearance : names of the unknowns of blur, ink and response.
-    light_terms, veil_terms : numbers of coefficients of the polynomials of light and of veil, lower
-        degrees first.
+    light_terms, veil_terms : numbers of coefficients of the polynomials of light and of veil
+        (additional light on paper and ink alike), lower degrees first.
     """
 
     appearance: tuple[str, ...]

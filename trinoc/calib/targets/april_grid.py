@@ -120,12 +120,12 @@ class AprilGrid(AbstractSquareBoard):
 
     @property
     def nodes_mm(self) -> Float[np.ndarray, "k 2"]:
-        """Corners of the tags. Every edge of ink belongs to the nearest corner."""
+        """Corners of the tags; see `AbstractSquareBoard`."""
         return self.centres_mm
 
     @property
     def marks(self) -> Marks:
-        """Tag family and tag ids, which distinguish the board in an image."""
+        """Tag family and tag ids, by which an image distinguishes the board from other boards."""
         return marks_of_markers(self.dictionary, self.marker_ids)
 
     @property

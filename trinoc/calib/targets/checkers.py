@@ -195,7 +195,7 @@ class Charuco(AbstractSquareBoard):
 
     @property
     def marks(self) -> Marks:
-        """Marker ids, which distinguish the board in an image.
+        """Marker family and ids, by which an image distinguishes the board from other boards.
 
         Inverted and mirrored markers each form a separate family.
         """

@@ -48,7 +48,7 @@ def check_markers(name: str, dictionary: str, first: int, count: int) -> None:
 
 
 def marks_of_markers(dictionary: str, ids: range) -> Marks:
-    """Marker family and ids of a board, which distinguish the board in an image.
+    """Marker family and ids, by which an image distinguishes a board from other boards.
 
     Parameters
     ----------

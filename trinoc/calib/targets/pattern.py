@@ -238,9 +238,10 @@ class Pattern(Displayable, AbstractBoard):
 
     @property
     def marks(self) -> Marks:
-        """Features that all sheets of circles have.
+        """Features that distinguish a sheet of circles from other boards.
 
-        An image cannot distinguish two sheets of circles.
+        They are the same for all sheets of circles, because an image cannot distinguish two of
+        them.
         """
         likeness = (
             "both are sheets of circles, but a set may contain only one such sheet; use other "

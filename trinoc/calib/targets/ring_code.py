@@ -35,10 +35,10 @@ _MOST_CIRCLES = 1600
 def ring_code(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
     """Mask of the circles of a grid that are rings, row 0 on top; the others are discs.
 
-    The rings are chosen so that a visible part of the sheet determines its position and
-    orientation. The code uses the smallest such parts for which the search succeeds. The result is
-    the same at every call. A grid of fewer than three rows or columns has one or two rings. They
-    distinguish its rotations and its mirror image, if the grid allows this.
+    The rings are chosen so that a visible block of neighbouring circles determines its position and
+    orientation on the sheet. The search first tries blocks of 3 x 3 circles, then larger ones. The
+    result is the same at every call. A grid of fewer than three rows or columns has one or two
+    rings. They distinguish its rotations and its mirror image, if the grid allows this.
 
     Parameters
     ----------
@@ -65,10 +65,10 @@ def _ring_code(rows: int, columns: int) -> Bool[np.ndarray, "rows columns"]:
 
 
 def _has_room(rows: int, columns: int, window: tuple[int, int], distance: int) -> bool:
-    """True if enough code words exist for all windows in all orientations.
+    """True if enough code words exist for all windows of a grid in all orientations.
 
-    The number of code words is estimated by the sphere-packing bound for words that differ in at
-    least `distance` circles.
+    A window is a block of neighbouring circles; its rings and discs form a code word. The number of
+    code words that differ in at least `distance` circles is estimated by the sphere-packing bound.
 
     window : (rows, columns) of a window.
     """
@@ -107,7 +107,11 @@ def is_ambiguous(code: Bool[np.ndarray, "rows columns"]) -> bool:
 def _search(
     rows: int, columns: int, criterion: _Criterion
 ) -> Bool[np.ndarray, "rows columns"] | None:
-    """Search for a code by simulated annealing with a fixed seed; None if it does not converge."""
+    """Search for a code by simulated annealing with a fixed seed; None if it does not converge.
+
+    criterion : requirements on the code. Each is a window size (rows, columns) and the smallest
+        number of circles in which two windows must differ.
+    """
     # RandomState: its stream is frozen by NumPy's policy, a Generator's is not.
     random = np.random.RandomState(1986)
     code = random.randint(0, 2, (rows, columns)).astype(bool)
@@ -134,7 +138,7 @@ def conflicts(
 ) -> int:
     """Number of pairs of windows that differ in fewer than `distance` circles.
 
-    All orientations of both windows are compared.
+    A window is a block of neighbouring circles. All orientations of both windows are compared.
 
     Parameters
     ----------

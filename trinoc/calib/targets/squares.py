@@ -46,7 +46,7 @@ class AbstractSquareBoard(AbstractBoard):
     ----------
     rows, columns : numbers of inner corners, squares or tags, depending on the class.
     nodes_mm : (k, 2) corners of all squares or tags in the board's frame, including those on the
-        outer edge. Every edge of ink belongs to the nearest node.
+        outer edge. The fit to grey levels divides the board into one block around each node.
     """
 
     rows: AbstractVar[int]

@@ -33,7 +33,8 @@ class TargetTuning:
 class UncertaintyTuning:
     """Default standard deviations of sheet, aim and lens, used by `Systematics.typical`.
 
-    Chosen by hand. Check with the coverage in benchmarks/calibration_conditions.py.
+    The aim is the point at which the optical axis of a camera meets the sheet. Chosen by hand.
+    Check with the coverage in benchmarks/calibration_conditions.py.
     """
 
     # Relative standard deviation of the scale of the print.
@@ -138,9 +139,9 @@ class StartTuning:
 
 @dataclass(frozen=True)
 class AdviceTuning:
-    """Tuned constants for advice on the next shot, and for the comparison of halves of the shots.
+    """Tuned constants for advice on the next shot, and for the comparison of two calibrations.
 
-    Chosen by hand.
+    Each of these two calibrations uses one half of the shots. Chosen by hand.
     """
 
     # The two halves are compared at the distances of the boards, and this many times as far, where
@@ -186,7 +187,8 @@ class BundleTuning:
     """Tuned constants of the refinement with matched segments.
 
     They concern robust weights and the choice among several solutions. Check with errors and
-    coverage of benchmarks/refine.py. Its part `matched` checks the last six constants.
+    coverage of benchmarks/refine.py. The part `matched` of this benchmark checks the last six
+    constants.
     """
 
     # Distance in sigmas at which the loss of a fragment saturates. By hand.
@@ -219,7 +221,7 @@ class BundleTuning:
 class RigCheckTuning:
     """Tuned constants for the comparison of a rig with an earlier calibration or with images.
 
-    Check with the knocked rigs of benchmarks/refine.py.
+    Check with the rigs of benchmarks/refine.py in which a camera was moved ("knocked").
     """
 
     # A camera has moved since an earlier calibration if its pose differs by more sigmas. Noise

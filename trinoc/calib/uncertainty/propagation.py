@@ -38,12 +38,15 @@ _TO_RADIANS = np.array([*np.full(3, np.pi / 180), *np.ones(len(_NAMES) - 3)])
 
 
 class FieldSigma(NamedTuple):
-    """Standard deviation at positions in the image of a camera.
+    """Standard deviation of an image quantity at n positions in the image of a camera.
+
+    The quantity depends on the function that returns the result: the distance from an epipolar
+    line, or the position of a pixel.
 
     Attributes
     ----------
     uv_px : (n, 2) positions in the image.
-    sigma_px : (n,) standard deviation at each position.
+    sigma_px : (n,) standard deviation of the quantity at each position.
     """
 
     uv_px: Float[np.ndarray, "n 2"]

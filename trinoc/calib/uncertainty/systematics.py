@@ -125,10 +125,10 @@ class Systematics(NamedTuple):
             )
 
     def groups(self, cameras: Sequence[_Item]) -> list[Sequence[_Item]]:
-        """Groups of cameras that are adjusted together.
+        """Divide the cameras into groups that are adjusted together.
 
-        All cameras form one group if they have an uncertain lens or sheet in common. Otherwise the
-        groups are small.
+        All cameras form one group if they have an uncertain lens or sheet in common. Otherwise a
+        group has at most `CAMERAS_AT_ONCE` cameras.
 
         Parameters
         ----------
