@@ -106,7 +106,8 @@ def test_a_rig_of_many_cameras_is_named_in_one_short_note(capsys, caplog) -> Non
         check_views(files, larger, Path("rig.json"))
     (record,) = caplog.records
     assert record.getMessage() == (
-        "no picture of more/0, more/1, more/2, more/3, more/4, more/5 and 33 more: matching without"
+        "no picture of more/0, more/1, more/2, more/3, more/4, more/5 and 33 more: "
+        "matching uses the other cameras"
     )
     with pytest.raises(InputError, match="more/2 and 36 more: use these names"):
         expect_names({"lower": Path("a.png")}, larger, Path("rig.json"))

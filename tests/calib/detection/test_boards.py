@@ -177,7 +177,7 @@ def test_boards_that_cannot_be_are_refused():
             Chessboard(**wrong)
     for wrong, says in (
         ({"rows": 1, "columns": 1}, "two tags"),
-        ({"spacing": 2.0}, "gaps"),
+        ({"spacing": 2.0}, "spacing of 2"),
         ({"border": 3}, "borders of 3"),
         ({"tag_mm": np.nan}, "a finite number"),
         ({"tag_mm": 0.0}, "give a positive side"),

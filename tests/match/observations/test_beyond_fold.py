@@ -36,7 +36,7 @@ def test_segments_beyond_the_fold_are_left_out_with_a_note_and_the_others_are_ma
     given = inside | {"left": np.concatenate([corner, inside["left"]])}
     matches = trinoc.match_segments(given, rig)
     (note,) = [note for note in matches.notes if "one to one" in note]
-    assert f'2 of "left" (beyond {lens.valid_radius_px:.0f} px)' in note
+    assert f'2 segments of "left" beyond {lens.valid_radius_px:.0f} px' in note
     assert matches.reasons["left"][:2].tolist() == [BEYOND_FOLD] * 2
     assert matches.reasons["left"][2:].tolist() == expected.reasons["left"].tolist()
     assert matches.counts[f"segments {BEYOND_FOLD}"] == 2
