@@ -178,7 +178,7 @@ def test_boards_that_cannot_be_are_refused():
     for wrong, says in (
         ({"rows": 1, "columns": 1}, "two tags"),
         ({"spacing": 2.0}, "spacing of 2"),
-        ({"border": 3}, "borders of 3"),
+        ({"border": 3}, "border of 3 cells"),
         ({"tag_mm": np.nan}, "a finite number"),
         ({"tag_mm": 0.0}, "give a positive side"),
         ({"dictionary": "9x9"}, "unknown"),
