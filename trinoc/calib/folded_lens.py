@@ -196,10 +196,12 @@ def _folds(problem: Problem) -> dict[int, str]:
 def _fixed_sentences(
     before: RobustFit, after: RobustFit, folds: Mapping[int, str], cameras: Sequence[str]
 ) -> tuple[str, ...]:
-    """Return one note for each changed lens: its fixed coefficients, its fold, and the residuals.
+    """Return one note for each lens with coefficients that were fixed because it folded the image.
 
-    before, after : fit with and without these coefficients. folds : description of each fold, by
-        lens.
+    A note names the coefficients, the radius of the fold, and the residuals.
+
+    before, after : fit with and without these coefficients.
+    folds : description of the fold of each of these lenses, by index of the lens.
     """
     names = before.problem.state.lenses.parameter_names
     lens_of_camera = np.asarray(before.problem.parametrization.lens_of_camera).tolist()

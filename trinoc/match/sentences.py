@@ -110,9 +110,10 @@ def set_does_not_belong(sure: int, by_chance: float | None, remedy: str) -> str:
     Parameters
     ----------
     sure : int
-        Number of sure lines in three views.
+        Number of lines matched in three views with a posterior above 0.9.
     by_chance : float or None
-        Mean number of sure lines of the decoys. None if no decoy was matched.
+        Mean number of such lines when the image of one view is mirrored or upside down, so that all
+        matches are wrong. None if this was not tried.
     remedy : str
         Sentence with the most likely cause or the remedy.
     """

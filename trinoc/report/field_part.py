@@ -139,7 +139,8 @@ class FieldLevel(NamedTuple):
 
 
 class FieldPart(NamedTuple):
-    """Section with maps of the uncertainty that the errors of the cameras cause.
+    """Section with maps of the sigmas that the errors of the cameras cause, of epipolar lines in
+    the images (px) and of 3-D points near the sheet (mm).
 
     Attributes
     ----------
@@ -203,7 +204,8 @@ def field_part(
     matches: Matches | None,
     pictures: dict[str, PagePicture],
 ) -> FieldPart | None:
-    """Section with maps of the uncertainty that the errors of the cameras cause.
+    """Section with maps of the sigmas that the errors of the cameras cause, of epipolar lines in
+    the images (px) and of 3-D points near the sheet (mm).
 
     Returns None for one camera, or for a rig without a covariance.
     """

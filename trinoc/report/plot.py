@@ -40,7 +40,7 @@ def draw_image(axes: "Axes", picture: np.ndarray, *, strength: float = 1.0) -> N
 def draw_detection(
     axes: "Axes", picture: np.ndarray, fit: CameraFit, *, magnification: float
 ) -> None:
-    """Draw detected circles, crossed lines, and residuals with a magnification."""
+    """Draw the detected circles, the sheet's two crossed lines, and the magnified residuals."""
     from matplotlib.collections import LineCollection
 
     draw_image(axes, picture, strength=0.8)

@@ -82,7 +82,10 @@ class PriorPull(NamedTuple):
         return frozenset(view for unknown in self.unknowns for view in unknown.views)
 
     def concerns_aim(self, view: int) -> bool:
-        """True if the aim of the camera with index `view` is among the contradicted quantities."""
+        """True if the images contradict the prior of the aim of the camera with index `view`.
+
+        The aim is the point where the optical axis meets the sheet.
+        """
         return any(unknown.kind == "aim" and view in unknown.views for unknown in self.unknowns)
 
     @property

@@ -350,7 +350,8 @@ def _with_covariance(
 
     normal : normal matrices of the last step.
     residual, inliers : residuals of the pixels after this step, and mask of the inlier pixels.
-    free_hole : True if the step estimated the holes; `hole_sigma` is then computed as well.
+    free_hole : True if the step estimated the sizes of the white holes of rings; `hole_sigma` is
+        then computed as well.
     """
     variance = _masked_mean(residual**2, inliers)
     # By chance, residuals can be smaller than the noise: it is the lower limit.

@@ -70,7 +70,7 @@ class Chessboard(AbstractSquareBoard):
 
     @property
     def marks(self) -> Marks:
-        """Numbers of inner corners, which distinguish the board from other chessboards."""
+        """Features that distinguish chessboards: the counts of inner corners along the sides."""
         fewer, more = sorted((self.rows, self.columns))
         return Marks(
             f"chessboard of {fewer} x {more}",

@@ -209,9 +209,10 @@ class AbstractSplinedLens(AbstractLens):
         return max(self.core.valid_radius_px() - float(largest_px), 0.0)
 
     def parameter_scales(self, image_size_px: tuple[int, int]) -> Float[ArrayLike, "q"]:
-        """Step size of each parameter, (q,): those of the core, then of extent and control points.
+        """Step size of each parameter that moves the image corners by similar amounts, (q,).
 
-        The step size of a control point is half the image diagonal.
+        First the parameters of the lens model without splines (`core`), then the half width and
+        height of the spline grid (1), then the control points (half the image diagonal, px).
         """
         xp = array_namespace(self)
         fu = self.focal_length_px[0]

@@ -65,9 +65,12 @@ def side_evidence(
 def _contrast_evidence(
     contrasts: Float[np.ndarray, "v n 2"], index: Int[np.ndarray, "m v"], tuning: SideTuning
 ) -> Float[np.ndarray, "m s"]:
-    """Return the evidence of the contrast, for segments whose levels are unknown, (m, s).
+    """Return the evidence of each candidate from segments with a known contrast only, (m, s).
 
-    The evidence is 0 for the components in which the levels of a side disagree between the views.
+    These are segments whose grey levels on the two sides are unknown, but not the difference of the
+    levels. The evidence is the log density ratio of one line over clutter, for each of the
+    components SIDE_COMPONENTS. It is 0 for components in which the levels of a side differ between
+    the views.
     """
     evidence = np.zeros((len(index), len(SIDE_COMPONENTS)))
     if np.isnan(contrasts[..., 0]).all():

@@ -137,10 +137,10 @@ def _pair_evidence(
     tuning: CandidateTuning,
     ends: EndTuning,
 ) -> tuple[Bool[ArrayLike, "h"], Float[ArrayLike, "c h"]]:
-    """Compute the evidence of each pair of segments, as one array for the compiled programs.
+    """Compute `PairEvidence` of each pair of segments: log-likelihoods, depths and weights.
 
     `pairs` (h, 2) are segments of the two `views`. Returns the mask of the pairs that can be one
-    line, and the fields of `PairEvidence` as the rows of one array (c, h).
+    line, and the c fields of `PairEvidence` as the rows of one array (c, h).
     """
     segments = pairs.T
     rows = take_segments(planes.first, segments[0]), take_segments(planes.second, segments[1])

@@ -144,11 +144,12 @@ def right_rates(
     posterior: Float[np.ndarray, "t"],
     rules: ViewSupportTuning,
 ) -> Float[np.ndarray, "v v"]:
-    """Return the share of true lines with a segment in view v, among those seen in u, (v, u).
+    """Return the probability that view v has a segment of a true line, by view u, (v, u).
 
-    Each line has its posterior as weight. Only lines with segments in at least three other views
-    are counted, because such lines are tracks even without a segment in view v. `in_image` is the
-    result of `lines_in_images`.
+    Row v, column u is estimated from the lines that lie in image v (`in_image`) and have a segment
+    in view u: it is the part of them that has a segment in view v, too. Each line is weighted by
+    its posterior. Only lines with segments in at least three views other than v are counted,
+    because such lines are tracks even without a segment in view v.
     """
     is_member = index >= 0
     has_three_others = (is_member.sum(axis=1, keepdims=True) - is_member) >= 3

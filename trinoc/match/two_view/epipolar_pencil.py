@@ -76,7 +76,7 @@ class PencilSegments(NamedTuple):
 
     @property
     def sine_high(self) -> Scalar:
-        """Sine of `high`, the larger plane angle of the segment's two ends."""
+        """Sine of `high`: the larger of the angles of the two epipolar planes through the ends."""
         return self.columns[5]
 
     @property
