@@ -1,4 +1,4 @@
-"""A camera from given points, on a plane and off it."""
+"""Calibration of a camera from given points, on a plane and off it."""
 
 import os
 from pathlib import Path
@@ -32,15 +32,19 @@ def seen(points: np.ndarray, random: np.random.Generator) -> np.ndarray:
     return exact + random.normal(0, NOISE_PX, exact.shape)
 
 
-def errors(found: CalibrationResult) -> np.ndarray:
-    """Of the parameters, in their order: turns about the camera's axes, centre, lens."""
-    turn = np.asarray(found.camera.cam_from_world)[:, :3] @ CAMERA.cam_from_world[:, :3].T
-    lens = found.camera.intrinsics
+def errors(result: CalibrationResult) -> np.ndarray:
+    """Errors of the parameters, in their order: turns about the camera's axes, centre, lens."""
+    turn = np.asarray(result.camera.cam_from_world)[:, :3] @ CAMERA.cam_from_world[:, :3].T
+    lens = result.camera.intrinsics
     values = np.concatenate([lens.focal_length_px, lens.principal_point_px])
     truth = np.concatenate([LENS.focal_length_px, LENS.principal_point_px])
-    centre = np.asarray(found.camera.pose.centre_world_mm) - CAMERA.pose.centre_world_mm
-    every = [*np.degrees(cv2.Rodrigues(np.asarray(turn))[0].ravel()), *centre, *(values - truth)]
-    return np.array(every[: len(found.parameters)])
+    centre = np.asarray(result.camera.pose.centre_world_mm) - CAMERA.pose.centre_world_mm
+    differences = [
+        *np.degrees(cv2.Rodrigues(np.asarray(turn))[0].ravel()),
+        *centre,
+        *(values - truth),
+    ]
+    return np.array(differences[: len(result.parameters)])
 
 
 @pytest.mark.parametrize("lens_given", [True, False])
@@ -50,13 +54,13 @@ def test_errors_are_those_that_the_covariance_claims(lens_given: bool) -> None:
         random = np.random.default_rng(seed)
         points = block(random)
         lens = LENS if lens_given else None
-        found = calibrate_points(
+        result = calibrate_points(
             points, seen(points, random), lens, image_size_px=(512, 480), systematics=Systematics()
         )
-        assert found.overall_status is Status.CONVERGED
-        assert found.fits["camera"].sigma_factor == pytest.approx(NOISE_PX, rel=0.3)
-        error = errors(found)
-        squared.append(error @ np.linalg.solve(found.covariance, error) / len(error))
+        assert result.overall_status is Status.CONVERGED
+        assert result.fits["camera"].sigma_factor == pytest.approx(NOISE_PX, rel=0.3)
+        error = errors(result)
+        squared.append(error @ np.linalg.solve(result.covariance, error) / len(error))
     # The mean of 60 chi-squares over their 6 or 10 degrees of freedom; the noise is estimated.
     assert np.mean(squared) == pytest.approx(1.0, abs=0.3)
 
@@ -65,7 +69,7 @@ BENT = camera_of(TABLE_1["left"], DISTORTED_LENS)
 
 
 def seen_bent(points: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Where the camera with a distorting lens sees points."""
+    """Pixels of the points through the distorting lens, with noise."""
     exact = np.stack([BENT.project(point) for point in points])
     return exact + random.normal(0, NOISE_PX, exact.shape)
 
@@ -80,13 +84,15 @@ def test_the_lens_is_the_one_that_the_points_ask_for(count: int) -> None:
     points = block(random, 200)
     exact = np.stack([camera.project(point) for point in points])
     uv_px = exact + random.normal(0, 0.02, exact.shape)
-    found = calibrate_points(points, uv_px, image_size_px=(512, 480))
-    assert found.overall_status is Status.CONVERGED
-    assert found.lens_parameters[4:] == ("k1", "k2", "p1", "p2")[:count]
+    result = calibrate_points(points, uv_px, image_size_px=(512, 480))
+    assert result.overall_status is Status.CONVERGED
+    assert result.lens_parameters[4:] == ("k1", "k2", "p1", "p2")[:count]
     truth = np.concatenate([LENS.focal_length_px, LENS.principal_point_px, bent[:count]])
-    values = np.asarray(promote_lens(found.camera.intrinsics.lens).parameters)[: 4 + count]
-    own = found.covariance[6:, 6:]
-    assert (values - truth) @ np.linalg.solve(own, values - truth) < chi2.ppf(0.9999, len(truth))
+    values = np.asarray(promote_lens(result.camera.intrinsics.lens).parameters)[: 4 + count]
+    lens_covariance = result.covariance[6:, 6:]
+    assert (values - truth) @ np.linalg.solve(lens_covariance, values - truth) < chi2.ppf(
+        0.9999, len(truth)
+    )
 
 
 def test_exact_points_ask_for_nothing() -> None:
@@ -100,7 +106,8 @@ def test_an_uncertain_lens_is_in_the_covariance() -> None:
     points = block(random)
     uv_px = seen(points, random)
     exact, usual = (
-        calibrate_points(points, uv_px, LENS, systematics=known) for known in (Systematics(), None)
+        calibrate_points(points, uv_px, LENS, systematics=systematics)
+        for systematics in (Systematics(), None)
     )
     focal = np.array([0.01, 0.01]) * LENS.focal_length_px
     moved = calibrate_points(
@@ -125,8 +132,8 @@ def test_an_uncertain_lens_is_in_the_covariance() -> None:
 def test_points_of_a_plane_do_where_the_lens_is_known() -> None:
     random = np.random.default_rng(1)
     points = block(random) * [1, 1, 0]
-    found = calibrate_points(points, seen(points, random), LENS)
-    assert (np.abs(errors(found)) < 5 * np.sqrt(np.diag(found.covariance))).all()
+    result = calibrate_points(points, seen(points, random), LENS)
+    assert (np.abs(errors(result)) < 5 * np.sqrt(np.diag(result.covariance))).all()
     with pytest.raises(InputError, match="one plane"):
         calibrate_points(points, seen(points, random), image_size_px=(512, 480))
     with pytest.raises(CalibrationError, match="do not determine"):
@@ -140,9 +147,9 @@ def test_a_point_that_is_another_is_left_out_and_told() -> None:
     points = block(random)
     uv_px = seen(points, random)
     uv_px[[3, 17]] += [4.0, -3.0]
-    found = calibrate_points(points, uv_px, LENS)
-    np.testing.assert_array_equal(np.flatnonzero(~found.fits["camera"].used), [3, 17])
-    assert (np.abs(errors(found)) < 5 * np.sqrt(np.diag(found.covariance))).all()
+    result = calibrate_points(points, uv_px, LENS)
+    np.testing.assert_array_equal(np.flatnonzero(~result.fits["camera"].used), [3, 17])
+    assert (np.abs(errors(result)) < 5 * np.sqrt(np.diag(result.covariance))).all()
 
 
 def test_what_cannot_be_is_refused_in_words() -> None:
@@ -195,18 +202,18 @@ def test_the_parameters_over_a_sheet_scatter_as_their_covariance_says(model: Pos
     for seed in range(40):
         random = np.random.default_rng(seed)
         points = block(random)
-        found = calibrate_points(
+        result = calibrate_points(
             points,
             seen(points, random),
             LENS,
             pose_model=model.option_name,
             systematics=Systematics(),
         )
-        assert found.parameters == tuple(f"camera.{name}" for name in model.parameter_names)
-        camera = found.camera
+        assert result.parameters == tuple(f"camera.{name}" for name in model.parameter_names)
+        camera = result.camera
         values = [camera.pan_deg, camera.tilt_deg, camera.swing_deg, camera.distance_mm]
         error = np.array([*values, *camera.aim_mm])[: model.size] - truth
-        squared.append(error @ np.linalg.solve(found.covariance, error) / model.size)
+        squared.append(error @ np.linalg.solve(result.covariance, error) / model.size)
     # The mean of 40 chi-squares over their 4 or 6 degrees of freedom; the noise is estimated.
     assert np.mean(squared) == pytest.approx(1.0, abs=0.4)
 
@@ -232,7 +239,7 @@ def test_a_left_handed_frame_is_refused_with_and_without_a_lens(count, free) -> 
     upward = np.column_stack([uv_px[:, 0], 479 - uv_px[:, 1]])
     if count == 60:
         assert calibrate_points(points, uv_px, LENS, free=free).overall_status is Status.CONVERGED
-    for places, pixels in (
+    for points_mm, pixels in (
         (points * [-1, 1, 1], uv_px),
         (points * [1, -1, 1], uv_px),
         (points * [1, 1, -1], uv_px),
@@ -243,7 +250,7 @@ def test_a_left_handed_frame_is_refused_with_and_without_a_lens(count, free) -> 
         for lens in (LENS, None):
             with pytest.raises(CalibrationError, match="left-handed, or v is counted") as caught:
                 calibrate_points(
-                    places,
+                    points_mm,
                     pixels,
                     lens,
                     image_size_px=(512, 480),
@@ -277,7 +284,7 @@ def test_a_plane_has_no_handedness() -> None:
 @pytest.mark.parametrize("distance", [1.0, 6.0])
 @pytest.mark.parametrize("count", [4, 5, 6, 12])
 def test_a_right_handed_frame_is_never_called_left_handed(count, distance) -> None:
-    """Few points, also so far away that both frames fit nearly alike."""
+    """The points are few, and may be so far away that both frames fit nearly alike."""
     lens = Intrinsics(
         focal_length_px=(1000 * distance,) * 2,
         principal_point_px=(255.5, 239.5),
@@ -287,6 +294,6 @@ def test_a_right_handed_frame_is_never_called_left_handed(count, distance) -> No
         random = np.random.default_rng(seed)
         points = block(random, count)
         turn = cv2.Rodrigues(random.normal(0, 1, 3))[0]
-        at = points @ turn.T + [0, 0, 500 * distance]
-        uv_px = 1000 * distance * at[:, :2] / at[:, 2:] + [255.5, 239.5]
+        in_camera_mm = points @ turn.T + [0, 0, 500 * distance]
+        uv_px = 1000 * distance * in_camera_mm[:, :2] / in_camera_mm[:, 2:] + [255.5, 239.5]
         find_pose(points, uv_px + random.normal(0, 0.3, uv_px.shape), lens)
