@@ -39,7 +39,7 @@ CAMERAS = {
 LENS_OF = dict(zip(CAMERAS, LENSES, strict=True))
 
 
-def sets_held(count: int, seed: int = 0) -> np.ndarray:
+def poses_of_set(count: int, seed: int = 0) -> np.ndarray:
     """rig_from_set of each shot: the front faces the left camera, tilted and rolled at random."""
     random, poses = np.random.default_rng(seed), []
     for _ in range(count):
@@ -54,7 +54,7 @@ def sets_held(count: int, seed: int = 0) -> np.ndarray:
     return np.stack(poses)
 
 
-def seen(
+def detect_boards(
     camera: str, rig_from_set: np.ndarray, boards: tuple[str, ...], random: np.random.Generator
 ) -> Detection | None:
     """Detection of all boards of a set that face the camera and lie in its image."""
@@ -97,8 +97,11 @@ def set_shots(
     pose_seed: int = 0,
 ) -> dict[str, list[Detection | None]]:
     """Detections of each camera in each shot."""
-    random, poses = np.random.default_rng(seed), sets_held(count, pose_seed)
-    return {camera: [seen(camera, pose, boards, random) for pose in poses] for camera in cameras}
+    random, poses = np.random.default_rng(seed), poses_of_set(count, pose_seed)
+    return {
+        camera: [detect_boards(camera, pose, boards, random) for pose in poses]
+        for camera in cameras
+    }
 
 
 def fixed(first: str, second: str) -> np.ndarray:

@@ -9,11 +9,11 @@ from tests.calib.made_board_sets import (
     IN_SET,
     LENS_OF,
     SIGMA_PX,
+    detect_boards,
     fixed,
-    seen,
+    poses_of_set,
     set_of,
     set_shots,
-    sets_held,
 )
 from tests.calib.made_shots import (
     BOARD,
@@ -58,10 +58,10 @@ def far_from_left(rig) -> np.ndarray:
 def known_problem(random: np.random.Generator, systematics: Systematics = EXACT) -> Problem:
     """Problem at the truth: cameras that face each other, one board for each, and known lenses."""
     cameras, boards = OPPOSITE
-    target, poses, views = set_of(boards), sets_held(6), []
+    target, poses, views = set_of(boards), poses_of_set(6), []
     for number, camera in enumerate(cameras):
         for shot, pose in enumerate(poses):
-            detection = seen(camera, pose, boards, random)
+            detection = detect_boards(camera, pose, boards, random)
             if detection is None:
                 continue
             for board, board_detection in split_by_board(detection, target).items():

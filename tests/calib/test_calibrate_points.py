@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tests.calib.simulated import DISTORTED_LENS, LENS, TABLE_1, camera_of
+from tests.calib.simulated import LENS, TABLE_1, camera_of
 from trinoc.calib import Status
 from trinoc.calib.from_points import CalibrationResult, calibrate_points
 from trinoc.calib.starts.resection import find_pose
@@ -26,7 +26,7 @@ def block(random: np.random.Generator, count: int = 60) -> np.ndarray:
     return random.uniform([-60, -60, -40], [60, 60, 40], (count, 3))
 
 
-def seen(points: np.ndarray, random: np.random.Generator) -> np.ndarray:
+def noisy_pixels(points: np.ndarray, random: np.random.Generator) -> np.ndarray:
     homogeneous = np.column_stack([points, np.ones(len(points))]) @ CAMERA.matrix_px.T
     exact = homogeneous[:, :2] / homogeneous[:, 2:]
     return exact + random.normal(0, NOISE_PX, exact.shape)
@@ -55,7 +55,11 @@ def test_errors_are_those_that_the_covariance_claims(lens_given: bool) -> None:
         points = block(random)
         lens = LENS if lens_given else None
         result = calibrate_points(
-            points, seen(points, random), lens, image_size_px=(512, 480), systematics=Systematics()
+            points,
+            noisy_pixels(points, random),
+            lens,
+            image_size_px=(512, 480),
+            systematics=Systematics(),
         )
         assert result.overall_status is Status.CONVERGED
         assert result.fits["camera"].sigma_factor == pytest.approx(NOISE_PX, rel=0.3)
@@ -63,15 +67,6 @@ def test_errors_are_those_that_the_covariance_claims(lens_given: bool) -> None:
         squared.append(error @ np.linalg.solve(result.covariance, error) / len(error))
     # The mean of 60 chi-squares over their 6 or 10 degrees of freedom; the noise is estimated.
     assert np.mean(squared) == pytest.approx(1.0, abs=0.3)
-
-
-BENT = camera_of(TABLE_1["left"], DISTORTED_LENS)
-
-
-def seen_bent(points: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Pixels of the points through the distorting lens, with noise."""
-    exact = np.stack([BENT.project(point) for point in points])
-    return exact + random.normal(0, NOISE_PX, exact.shape)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 4])
@@ -104,7 +99,7 @@ def test_exact_points_ask_for_nothing() -> None:
 def test_an_uncertain_lens_is_in_the_covariance() -> None:
     random = np.random.default_rng(4)
     points = block(random)
-    uv_px = seen(points, random)
+    uv_px = noisy_pixels(points, random)
     exact, usual = (
         calibrate_points(points, uv_px, LENS, systematics=systematics)
         for systematics in (Systematics(), None)
@@ -132,20 +127,20 @@ def test_an_uncertain_lens_is_in_the_covariance() -> None:
 def test_points_of_a_plane_do_where_the_lens_is_known() -> None:
     random = np.random.default_rng(1)
     points = block(random) * [1, 1, 0]
-    result = calibrate_points(points, seen(points, random), LENS)
+    result = calibrate_points(points, noisy_pixels(points, random), LENS)
     assert (np.abs(errors(result)) < 5 * np.sqrt(np.diag(result.covariance))).all()
     with pytest.raises(InputError, match="one plane"):
-        calibrate_points(points, seen(points, random), image_size_px=(512, 480))
+        calibrate_points(points, noisy_pixels(points, random), image_size_px=(512, 480))
     with pytest.raises(CalibrationError, match="do not determine"):
         calibrate_points(
-            points, seen(points, random), LENS, free=("fx_px", "fy_px", "cx_px", "cy_px")
+            points, noisy_pixels(points, random), LENS, free=("fx_px", "fy_px", "cx_px", "cy_px")
         )
 
 
 def test_a_point_that_is_another_is_left_out_and_told() -> None:
     random = np.random.default_rng(2)
     points = block(random)
-    uv_px = seen(points, random)
+    uv_px = noisy_pixels(points, random)
     uv_px[[3, 17]] += [4.0, -3.0]
     result = calibrate_points(points, uv_px, LENS)
     np.testing.assert_array_equal(np.flatnonzero(~result.fits["camera"].used), [3, 17])
@@ -155,7 +150,7 @@ def test_a_point_that_is_another_is_left_out_and_told() -> None:
 def test_what_cannot_be_is_refused_in_words() -> None:
     random = np.random.default_rng(3)
     points = block(random)
-    uv_px = seen(points, random)
+    uv_px = noisy_pixels(points, random)
     with pytest.raises(CalibrationError, match="left-handed"):
         calibrate_points(points * [-1, 1, 1], uv_px, image_size_px=(512, 480))
     with pytest.raises(InputError, match="size of the image is missing"):
@@ -178,7 +173,7 @@ def test_a_real_rig_stands_where_opencv_puts_it(name: str) -> None:
         uv_px, points = table[name][:, :2], table[name][:, 2:]
     free = calibrate_points(points, uv_px, image_size_px=(1280, 1024))
     assert free.fits["camera"].used.mean() > 0.97
-    # What a direct linear transform leaves, which has skew and no distortion, is .23, .50, .54.
+    # A direct linear transform, with skew and no distortion, has residuals of .23, .50, .54 px.
     assert free.rms_px() < 0.5
     assert free.overall_status is Status.CONVERGED
     posed = calibrate_points(points, uv_px, free.camera.intrinsics)
@@ -204,7 +199,7 @@ def test_the_parameters_over_a_sheet_scatter_as_their_covariance_says(model: Pos
         points = block(random)
         result = calibrate_points(
             points,
-            seen(points, random),
+            noisy_pixels(points, random),
             LENS,
             pose_model=model.option_name,
             systematics=Systematics(),
@@ -221,7 +216,7 @@ def test_the_parameters_over_a_sheet_scatter_as_their_covariance_says(model: Pos
 def test_a_free_aim_is_any_rigid_motion() -> None:
     random = np.random.default_rng(4)
     points = block(random)
-    uv_px = seen(points, random)
+    uv_px = noisy_pixels(points, random)
     rigid, aimed = (
         calibrate_points(points, uv_px, LENS, pose_model=m) for m in ("rigid", "aim-free")
     )
@@ -235,7 +230,7 @@ def test_a_free_aim_is_any_rigid_motion() -> None:
 def test_a_left_handed_frame_is_refused_with_and_without_a_lens(count, free) -> None:
     random = np.random.default_rng(count)
     points = block(random, count)
-    uv_px = seen(points, random)
+    uv_px = noisy_pixels(points, random)
     upward = np.column_stack([uv_px[:, 0], 479 - uv_px[:, 1]])
     if count == 60:
         assert calibrate_points(points, uv_px, LENS, free=free).overall_status is Status.CONVERGED
@@ -263,7 +258,7 @@ def test_a_left_handed_frame_is_refused_with_and_without_a_lens(count, free) -> 
 def test_a_left_handed_frame_is_refused_among_outliers() -> None:
     random = np.random.default_rng(4)
     points = block(random)
-    uv_px = seen(points, random)
+    uv_px = noisy_pixels(points, random)
     uv_px[:3] += [30.0, -50.0]
     assert calibrate_points(points, uv_px, LENS).overall_status is Status.CONVERGED
     with pytest.raises(CalibrationError, match="left-handed"):
@@ -273,7 +268,7 @@ def test_a_left_handed_frame_is_refused_among_outliers() -> None:
 def test_a_plane_has_no_handedness() -> None:
     random = np.random.default_rng(5)
     points = block(random) * [1, 1, 0]
-    uv_px = seen(points, random)
+    uv_px = noisy_pixels(points, random)
     right = calibrate_points(points, uv_px, LENS)
     mirrored = calibrate_points(points * [1, 1, -1], uv_px, LENS)
     one, other = (result.fits["camera"].residuals_px for result in (mirrored, right))

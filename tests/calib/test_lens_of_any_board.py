@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.calib.made_board_sets import BOARDS, LENS_OF, seen, sets_held
+from tests.calib.made_board_sets import BOARDS, LENS_OF, detect_boards, poses_of_set
 from tests.calib.made_shots import (
     BOARD,
     LENSES,
@@ -33,14 +33,16 @@ ANY_BOARD = {
 }
 
 
-def seen_by_left(board, count: int = 12, seed: int = 4) -> list:
+def detections_by_left(board, count: int = 12, seed: int = 4) -> list:
     random = np.random.default_rng(seed)
     return [detection("left", pose, random, board) for pose in board_poses(count, seed=seed)]
 
 
 @pytest.mark.parametrize("name", ANY_BOARD)
 def test_the_lens_of_any_board_is_the_true_one(name):
-    result = calibrate_intrinsics(seen_by_left(ANY_BOARD[name]), ANY_BOARD[name], distortion=4)
+    result = calibrate_intrinsics(
+        detections_by_left(ANY_BOARD[name]), ANY_BOARD[name], distortion=4
+    )
     assert result.overall_status is Status.CONVERGED
     # A chi-square of eight: its quantile of 1 - 1e-5.
     assert squared_distance(result, LENSES["left"]) < 37.0
@@ -63,7 +65,7 @@ def test_boards_fixed_to_each_other_serve_one_lens():
     random = np.random.default_rng(2)
     boards = ("front", "side")
     target = BoardSet({name: BOARDS[name] for name in boards})
-    detections_or_none = [seen("left", pose, boards, random) for pose in sets_held(12)]
+    detections_or_none = [detect_boards("left", pose, boards, random) for pose in poses_of_set(12)]
     detections = [each for each in detections_or_none if each is not None]
     result = calibrate_intrinsics(detections, target, distortion=4)
     assert result.has_rig
@@ -75,7 +77,7 @@ def test_boards_fixed_to_each_other_serve_one_lens():
 
 
 def test_what_is_held_is_held_with_any_board():
-    detections = seen_by_left(BOARD)
+    detections = detections_by_left(BOARD)
     result = calibrate_intrinsics(
         detections, BOARD, distortion=2, principal_point="centre", aspect="pitch", throw=False
     )
@@ -85,8 +87,10 @@ def test_what_is_held_is_held_with_any_board():
 
 
 def test_splines_correct_the_lens_of_any_board_and_the_next_picture_is_advised():
-    result = calibrate_intrinsics(seen_by_left(BOARD), BOARD, lens_model="splined", throw=False)
-    plain = calibrate_intrinsics(seen_by_left(BOARD), BOARD, throw=False)
+    result = calibrate_intrinsics(
+        detections_by_left(BOARD), BOARD, lens_model="splined", throw=False
+    )
+    plain = calibrate_intrinsics(detections_by_left(BOARD), BOARD, throw=False)
     advice, plain_advice = next_shot(result), next_shot(plain)
     assert advice is not None
     assert plain_advice is not None

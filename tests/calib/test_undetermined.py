@@ -60,7 +60,7 @@ def test_rounding_below_no_information_is_none():
 
     def advise(smallest_eigenvalue: float) -> str:
         covariance = covariance_with_weak_prior(
-            information._replace(shot_information=with_least(smallest_eigenvalue))
+            information._replace(shot_information=with_smallest_eigenvalue(smallest_eigenvalue))
         )
         advice = next_shot(
             dataclasses.replace(result, solved_problem=ended._replace(covariance=covariance))
@@ -68,7 +68,7 @@ def test_rounding_below_no_information_is_none():
         assert advice is not None
         return advice.sentence
 
-    def with_least(smallest_eigenvalue: float) -> np.ndarray:
+    def with_smallest_eigenvalue(smallest_eigenvalue: float) -> np.ndarray:
         total, free = information.shot_information.sum(axis=0), information.free
         prior = np.zeros_like(total)
         prior[np.ix_(free, free)] = information.prior

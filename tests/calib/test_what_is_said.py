@@ -52,7 +52,7 @@ def test_pictures_exchanged_in_some_shots_are_named():
 def test_an_exchange_is_found_in_its_own_shot_alone():
     poses = {k: Pose(cam_from_rig(name)) for k, name in enumerate(LENSES)}
 
-    def seen_by(order: tuple[str, ...], shot: int):
+    def sightings(order: tuple[str, ...], shot: int):
         lenses = [lens_of(name) for name in LENSES]
         detections = [shots(cameras=(name,))[name][shot] for name in order]
         starts = [start_poses(*each, BOARD) for each in zip(lenses, [[f] for f in detections])]
@@ -61,12 +61,12 @@ def test_an_exchange_is_found_in_its_own_shot_alone():
             for k, (start, each) in enumerate(zip(starts, detections, strict=True))
         ]
 
-    assert find_exchanged_pair(seen_by(("middle", "left", "right"), 2), poses, BOARD, TUNING) == (
+    assert find_exchanged_pair(sightings(("middle", "left", "right"), 2), poses, BOARD, TUNING) == (
         0,
         1,
     )
     assert (
-        find_exchanged_pair(seen_by(("middle", "right", "left"), 2), poses, BOARD, TUNING) is None
+        find_exchanged_pair(sightings(("middle", "right", "left"), 2), poses, BOARD, TUNING) is None
     )
 
 

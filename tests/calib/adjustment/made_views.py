@@ -53,7 +53,7 @@ def made_views(
         change = np.zeros(5)
         if lens_factor is not None:
             change = lens_factor @ random.normal(size=5)
-        uv = seen_px(pose, change, shape) + sigma_px * random.normal(size=(len(SHEET), 2))
+        uv = circles_px(pose, change, shape) + sigma_px * random.normal(size=(len(SHEET), 2))
         # From where a circle fit would start.
         start = Pose.from_parameters(jnp.array([*(values + 0.002), TABLE_1[name][3] + 1, 0, 0]))
         made.append(SheetCamera(name, detection(uv, sigma_px), LENS, lens_factor, start))
@@ -74,7 +74,7 @@ def detection(uv_px: np.ndarray, sigma_px: float) -> Detection:
     )
 
 
-def seen_px(pose: Pose, change: np.ndarray, shape: np.ndarray) -> np.ndarray:
+def circles_px(pose: Pose, change: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """Pixels of the circles of a sheet of this shape, for one camera whose lens has this change."""
     nothing = detection(np.zeros((len(SHEET), 2)), 1.0)
     one = SheetCamera("one", nothing, LENS, None, pose)

@@ -181,6 +181,6 @@ def test_what_places_are_said_to_err_by_matters_not_where_they_err_by_more() -> 
     scatter = tenth.reduced_chi_square[0] * 0.1**2
     assert 0.6 < scatter < 1.5
     np.testing.assert_allclose(tenth.covariance, scatter * full.covariance, rtol=1e-3)
-    # Which parameters are determined is judged by the stated sigmas.
+    # The test of which parameters are determined uses the stated sigmas.
     observed_covariances = [observe_single_camera(each)[1].covariance for each in (full, tenth)]
     np.testing.assert_allclose(observed_covariances[1], 0.1**2 * observed_covariances[0], rtol=1e-3)

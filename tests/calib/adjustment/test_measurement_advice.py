@@ -15,7 +15,7 @@ from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.pose import PoseModel
 
 AIM_MM = 20.0
-# Of a data sheet.
+# The lens covariance of a data sheet.
 WIDE = 10 * LENS_FACTOR
 SHEET_OF_PRINTER = Systematics(
     print_scale_sigma=(7e-4, 7e-4), print_size_sigma=2e-3, flatness_mm=0.3

@@ -53,7 +53,7 @@ def test_room_for_a_picture_changes_no_answer():
         rows, by_step = plain.rows(view), plain.degrees_by_step(view)
         sigma = np.sqrt(np.diag(by_step @ plain.covariance[np.ix_(rows, rows)] @ by_step.T))
         sigma[:3] = np.radians(sigma[:3])
-        # What rounding leaves to the stopping rule is nothing beside the noise.
+        # The difference by rounding and the stopping rule is far below the noise.
         off = np.abs(roomy.parameters(view) - plain.parameters(view))
         np.testing.assert_array_less(off, 1e-6 * sigma)
     np.testing.assert_allclose(roomy.covariance, plain.covariance, rtol=1e-6, atol=1e-15)

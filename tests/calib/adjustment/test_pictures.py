@@ -30,7 +30,7 @@ def answer(name: str, systematics: Systematics) -> tuple[CalibrationResult, np.n
 
 
 EXACT = Systematics()
-# What people on a bench leave open, through a lens that was calibrated, and by its data sheet.
+# Systematics of a bench set-up with a calibrated lens, and with a lens known by its data sheet.
 BENCH = Systematics.typical({})
 DATA_SHEET = BENCH._replace(lens_covariance={"a": data_sheet_covariance(LENS)})
 

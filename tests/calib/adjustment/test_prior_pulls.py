@@ -9,9 +9,9 @@ from tests.calib.adjustment.made_views import (
     SHEET,
     SIGMA_PX,
     TYPICAL,
+    circles_px,
     detection,
     made_views,
-    seen_px,
 )
 from tests.calib.simulated import LENS, TABLE_1
 from trinoc.calib import CalibrationResult, Status
@@ -51,7 +51,7 @@ def test_distances_from_right_priors_are_as_probable_as_they_claim() -> None:
                 chances.setdefault(pull.unknown.kind, []).append(pull.p_value)
         assert refuted_priors(adjustment) == []
     assert {"all", "bend", "principal point", "print aspect"} <= set(chances)
-    # What no image shows is not tested.
+    # Unknowns that no image determines are not tested.
     assert "print size" not in chances
     for kind, values in chances.items():
         # Bends of one sheet are twelve tests that hardly depend on each other.
@@ -64,7 +64,7 @@ def calibrated(values: tuple[float, ...], change: np.ndarray, **sheet: float) ->
     shape = np.array([sheet.get(name.replace(" ", "_"), 0.0) for name in BentPaper.names])
     pose = Pose.from_parameters(jnp.array([*np.radians(values[:3]), values[3], 0.0, 0.0]))
     noise = SIGMA_PX * np.random.default_rng(5).normal(size=(len(SHEET), 2))
-    detections = {"left": detection(seen_px(pose, change, shape) + noise, SIGMA_PX)}
+    detections = {"left": detection(circles_px(pose, change, shape) + noise, SIGMA_PX)}
     systematics = TYPICAL._replace(
         print_scale_sigma=(7e-4, 7e-4), lens_covariance={"left": ALONG_U @ ALONG_U.T}
     )

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, TYPICAL, detection, seen_px
+from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, TYPICAL, circles_px, detection
 from tests.calib.simulated import LENS, TABLE_1
 from trinoc.calib import CalibrationResult, Status
 from trinoc.calib.problem.sheet import BentPaper
@@ -32,7 +32,7 @@ def calibrated(*, aim: float = 0.0, **sheet: float) -> CalibrationResult:
         angles = np.radians(values[:3])
         pose = Pose.from_parameters(jnp.array([*angles, values[3], aim_error_mm, 0.0]))
         noise = SIGMA_PX * random.normal(size=(len(SHEET), 2))
-        detections[name] = detection(seen_px(pose, np.zeros(5), shape) + noise, SIGMA_PX)
+        detections[name] = detection(circles_px(pose, np.zeros(5), shape) + noise, SIGMA_PX)
     return calibrate_detections(detections, SHEET, LENS, systematics=TYPICAL, throw=False)
 
 
@@ -74,7 +74,7 @@ def test_errors_far_beyond_noise_are_suspect_where_neighbouring_circles_share_th
     random, detections = np.random.default_rng(6), {}
     for name, values in TABLE_1.items():
         pose = Pose.from_parameters(jnp.array([*np.radians(values[:3]), values[3], 0.0, 0.0]))
-        centres_px = seen_px(pose, np.zeros(5), np.zeros(len(SIGMAS)))
+        centres_px = circles_px(pose, np.zeros(5), np.zeros(len(SIGMAS)))
         smooth = np.cos(SHEET.centres_mm[:, 1] / 20.0)
         off_px = smooth if is_shared else random.normal(size=len(centres_px))
         noise = SIGMA_PX * random.normal(size=centres_px.shape)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, detection, seen_px
+from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, circles_px, detection
 from tests.calib.simulated import LENS, TABLE_1
 from trinoc.calib.adjustment.adjustment import adjust
 from trinoc.calib.adjustment.measurement_advice import find_undetectable_errors
@@ -51,7 +51,7 @@ def fitted(seed: int, change: np.ndarray) -> Fitted:
     pose = Pose.from_parameters(jnp.array([*values, *random.normal(size=2)]))
     noise = SIGMA_PX * random.normal(size=(len(SHEET), 2))
     sheet_detection = detection(
-        seen_px(pose, change, sigma * random.normal(size=len(sigma))) + noise, SIGMA_PX
+        circles_px(pose, change, sigma * random.normal(size=len(sigma))) + noise, SIGMA_PX
     )
     camera = SheetCamera("left", sheet_detection, LENS, None, pose)
     adjustment = adjust([camera], SHEET, SheetPriors(PoseModel.AIMED, MEASURED))

@@ -19,7 +19,7 @@ def errors():
 
 
 def test_a_shot_held_out_is_missed_by_noise_and_by_what_the_others_do_not_tell(errors):
-    # Of 30 places six numbers went into the pose.
+    # The pose takes six of the 60 coordinates of 30 points.
     noise_px = SIGMA_PX * np.sqrt(2.0 * (60 - 6) / 60)
     assert errors.shots == 7
     for name in LENSES:

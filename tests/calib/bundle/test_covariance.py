@@ -88,7 +88,7 @@ def test_the_factor_is_that_by_which_residuals_exceed_what_they_claim(factor: fl
 
 def test_too_few_residuals_leave_the_claimed_sigmas() -> None:
     nothing, pairs = np.zeros((5, 3)), np.array([[True, True, False]] * 5)
-    # What rounding leaves of a trace that is zero must not pass for a degree of freedom.
+    # The rounding error of a zero trace must not count as a degree of freedom.
     for trace in (0.0, -1e-12, 3.0):
         assert segment_factor(nothing, pairs, trace, TUNING)[0] == 1.0
     assert sheet_factor(400.0, 29.0, TUNING) == 1.0

@@ -99,7 +99,7 @@ def test_the_noise_of_the_segments_is_estimated():
     assert right.segment_sigma_factor == pytest.approx(1, abs=0.1)
     answer = refine(sheet_estimate(10), pessimist)
     assert answer.segment_sigma_factor == pytest.approx(0.5 * right.segment_sigma_factor, rel=0.05)
-    # What is known of the lines does not depend on what was stated.
+    # The covariance of the lines does not depend on the stated sigmas.
     covariance_mm2, as_stated = (
         answer.lines.fragment_covariance_mm2,
         right.lines.fragment_covariance_mm2,
@@ -241,7 +241,7 @@ def test_another_tuning_is_used_after_a_call_with_the_default():
     # Residuals of two sigmas cost less under a loss that levels out there.
     narrow = refine(sheet, lines, tuning=with_field(TUNING, "bundle.loss_sigmas", 2.0))
     assert narrow.chi_square[0] < 0.9 * usual.chi_square[0]
-    # Where the loss never narrows, wrong fragments pull the cameras.
+    # If the loss never narrows, wrong fragments pull the cameras.
     wide = refine(sheet, lines, tuning=with_field(TUNING, "bundle.widenings", (16.0,)))
     assert np.abs(wide.values - usual.values).max() > 0
     strict = refine(sheet, lines, tuning=with_field(TUNING, "bundle.outlier_chance", 0.5))

@@ -77,7 +77,7 @@ LOOKS = [{}, {"blur_px": 0.3}, {"blur_px": 1.6, "slope": 0.3}]
 OF_NOISE = [
     (deliver, look) for deliver in (white, shared, of_light, of_edges, bent) for look in LOOKS
 ]
-# What the model has not of these is symmetric about a corner.
+# The effects that the model omits are symmetric about a corner.
 OF_LIGHT = [(overexposed, {}), (sharpened, {})]
 
 

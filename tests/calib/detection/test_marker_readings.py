@@ -21,7 +21,7 @@ from trinoc.errors import CalibrationError, DetectionError
 
 CHARUCO = Charuco(rows=6, columns=8, square_mm=11.0, marker_mm=8.25, dictionary="4x4_50")
 APRILGRID = AprilGrid(rows=3, columns=4, tag_mm=18.0)
-# How the print differs from the stated board, and the words for it.
+# Differences between the print and the stated board, by the words of the message.
 PRINTS = {
     "legacy=yes": {"legacy": True},
     "rows and columns exchanged (rows=8 columns=6)": {"rows": 8, "columns": 6},
@@ -83,7 +83,7 @@ def test_another_print_than_the_stated_one_is_named_and_then_fits(changes, searc
     mirror = " as in a mirror" if printed.mirrored else ""
     assert f"24 markers of {printed.dictionary} are visible{mirror}; " in sentence
     assert len(searches) <= MOST_SEARCHES
-    # What is named is what was printed.
+    # The named board is the printed one.
     detection = detect_target(image, printed)
     corners = printed.centres_mm[detection.circle_index]
     assert len(detection) == len(printed)

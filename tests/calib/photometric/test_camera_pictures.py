@@ -56,7 +56,7 @@ def test_a_known_response_is_not_fitted() -> None:
     assert fitted is not None
     assert with_response.effects == ()
     assert mahalanobis(with_response) < 20.0
-    # What is known costs no information.
+    # A known response costs no information.
     assert np.trace(with_response.information) > np.trace(fitted.information)
 
 

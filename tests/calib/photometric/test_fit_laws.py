@@ -177,14 +177,14 @@ def test_derivatives_are_those_of_levels_that_saturation_cuts(scene: PixelScene)
     light = state.unknowns.light[0]
     free = np.ones(4 + state.unknowns.size, dtype=bool)
 
-    def seen(change: float) -> ImageFitState:
+    def evaluate_with_light(change: float) -> ImageFitState:
         values = np.array(state.values)
         values[light] += change
         there = ImageState(state.pose, values, state.levels, state.unknowns)
         return looked_at(cut, fit._evaluate(cut, there, free))
 
-    up, down = (seen(sign * 0.5).residual(cut)[0] for sign in (1, -1))
-    derivative = seen(0.0).rows(cut)[9 + light]
+    up, down = (evaluate_with_light(sign * 0.5).residual(cut)[0] for sign in (1, -1))
+    derivative = evaluate_with_light(0.0).rows(cut)[9 + light]
     assert derivative.min() < 0.7 < derivative.max()
     np.testing.assert_allclose(derivative, up - down, atol=0.01)
 
@@ -204,13 +204,13 @@ def test_only_levels_far_below_saturation_are_clear() -> None:
     assert is_clear(levels, sigma, 255.0, 4.0).tolist() == [False, False, True]
 
 
-def whole_field(side: int) -> SelectedPixels:
+def all_pixels(side: int) -> SelectedPixels:
     row, column = (axis.ravel() for axis in np.mgrid[:side, :side])
     return SelectedPixels(column, row, np.zeros(side * side, dtype=np.int64))
 
 
 def test_neighbours_whose_residuals_have_a_mean_go_and_white_noise_stays() -> None:
-    pixels, noise = whole_field(60), np.random.default_rng(2).normal(size=3600)
+    pixels, noise = all_pixels(60), np.random.default_rng(2).normal(size=3600)
     everything = np.ones(3600, dtype=bool)
     assert (
         remove_correlated_neighbourhoods(pixels, noise, everything, TUNING.photometric).mean()
@@ -225,7 +225,7 @@ def test_neighbours_whose_residuals_have_a_mean_go_and_white_noise_stays() -> No
 
 
 def test_crowds_of_outliers_go_with_their_whole_neighbourhood() -> None:
-    pixels, residual = whole_field(60), np.zeros(3600)
+    pixels, residual = all_pixels(60), np.zeros(3600)
     thumb = (pixels.column < 20) & (pixels.row < 20)
     # Every second pixel under a thumb happens to have the right grey level.
     residual[thumb & ((pixels.column + pixels.row) % 2 == 0)] = 50.0

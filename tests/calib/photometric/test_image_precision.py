@@ -18,18 +18,18 @@ def test_rounding_of_the_unknowns_moves_no_large_picture() -> None:
     selected = selected.subset(np.arange(0, len(selected.row), 8))
     grey = np.zeros(size[::-1])
 
-    def seen(dtype: type) -> tuple[np.ndarray, np.ndarray]:
+    def residuals_and_rows(dtype: type) -> tuple[np.ndarray, np.ndarray]:
         group = pad_group(selected, grey, lens, pattern, len(selected.row), dtype)
         rows = rows_of(state, group, drawing=drawing_of(pattern))
         return np.asarray(rows.level, float) - np.asarray(group.pixels.grey, float), np.asarray(
             rows.rows, float
         )
 
-    exact, rows = seen(np.float64)
+    exact, rows = residuals_and_rows(np.float64)
     grey[selected.row, selected.column] = exact
     # The model is the picture: what residuals there are come of rounding. The unknowns that one
     # plane leaves open have no scale of their own, and no step.
-    residual, _ = seen(np.float32)
+    residual, _ = residuals_and_rows(np.float32)
     matrix, gradient = rows @ rows.T, rows @ residual
     scale = np.sqrt(np.diag(matrix))
     values, vectors = np.linalg.eigh(matrix / scale / scale[:, None])

@@ -80,14 +80,14 @@ def model(picture, board):
     assert not pixels_of(picture, sheet, near_line=True)[1]
     group, count = pixels_of(picture, sheet)
 
-    def seen(spread_mm):
+    def residuals_and_rows(spread_mm):
         state = with_appearance(state_at(RIGHT), spread_mm=spread_mm)
         rows = rows_of(state, group, drawing=drawing_of(sheet))
         return (np.asarray(rows.level) - group.pixels.grey)[:count], np.asarray(rows.rows)[
             :, :count
         ]
 
-    return seen
+    return residuals_and_rows
 
 
 def test_the_model_is_the_picture(model):

@@ -14,7 +14,7 @@ from trinoc.numerics.robust_loss import GemanMcClure
 SHOTS = 8
 
 
-def cost_of_places(problem: PointsProblem, state: RigState) -> jax.Array:
+def cost_of_points(problem: PointsProblem, state: RigState) -> jax.Array:
     """Robust chi-square of all points plus that of the prior."""
     squared = jnp.sum(
         jnp.square(whitened_residuals(state, problem.parametrization, problem.table)), axis=-1
@@ -39,7 +39,7 @@ def assert_equations_are_those_of_the_cost(here: Problem) -> None:
     start = jax.jit(retract)(state, parametrization, off, np.zeros((SHOTS, 6)))
 
     def at(head, boards):
-        return cost_of_places(problem, problem.retract(start, head, boards))
+        return cost_of_points(problem, problem.retract(start, head, boards))
 
     zero = jnp.zeros(len(parametrization.free)), jnp.zeros((SHOTS, 6))
     cost, gradients = jax.jit(jax.value_and_grad(at, argnums=(0, 1)))(*zero)

@@ -45,7 +45,7 @@ def lens_errors(result):
 @pytest.mark.slow
 def test_a_wavy_board_is_found_with_the_rig(calibration, wavy):
     assert calibration.place_shifts_mm.shape == wavy.shape
-    # What is left is the noise's, and what a motion or a scale of the whole board stands for.
+    # The rest is noise, and shapes that a motion or a scale of the board replaces.
     basis = np.column_stack([np.ones(len(BOARD)), BOARD.centres_mm])
     rise = wavy[:, 2] - calibration.place_shifts_mm[:, 2]
     bowl = BOARD.centres_mm**2

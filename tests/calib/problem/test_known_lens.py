@@ -18,7 +18,7 @@ from trinoc.geometry.lenses.skewed import skew_lens
 
 TWO = ("left", "right")
 KNOWN = {name: Intrinsics.of_lens(lens_of(name), SIZE_PX) for name in TWO}
-# Of fx, fy, cx, cy, k1, k2, p1, p2, k3: about what four shots know; the last is exact.
+# Sigmas of fx, fy, cx, cy, k1, k2, p1, p2, k3: about those by four shots; k3 is exact.
 SIGMA = np.array([1.5, 1.5, 1.0, 1.0, 0.01, 0.03, 5e-4, 5e-4, 0.0])
 CORRELATION = np.eye(9)
 CORRELATION[0, 1] = CORRELATION[1, 0] = 0.9

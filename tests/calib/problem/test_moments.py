@@ -24,7 +24,7 @@ from trinoc.numerics.tables import with_field
 SHOTS = 10
 
 
-def seen(seed=0, moved=(), shift_mm=6.0, late=()):
+def moved_images(seed=0, moved=(), shift_mm=6.0, late=()):
     """Detections of both cameras; in the shots `moved` the right one sees the board displaced."""
     random = np.random.default_rng(seed)
     images = {"left": {}, "right": {}}
@@ -39,7 +39,7 @@ def seen(seed=0, moved=(), shift_mm=6.0, late=()):
 
 @pytest.fixture(scope="module")
 def fair():
-    return calibrate_rig(seen(), BOARD, systematics=Systematics())
+    return calibrate_rig(moved_images(), BOARD, systematics=Systematics())
 
 
 def test_shots_of_one_moment_stay_together(fair):
@@ -48,7 +48,7 @@ def test_shots_of_one_moment_stay_together(fair):
 
 
 def test_shots_of_other_moments_are_named_and_move_no_camera(fair):
-    result = calibrate_rig(seen(moved=(2, 7)), BOARD, systematics=Systematics())
+    result = calibrate_rig(moved_images(moved=(2, 7)), BOARD, systematics=Systematics())
     named = {sentence.partition(":")[0] for sentence in result.refused}
     assert named == {"shot 2", "shot 7"}
     for name in ("right.fx_px", "left.fx_px", "right.distance_mm"):

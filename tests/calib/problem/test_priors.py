@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.calib.made_shots import board_poses
-from tests.calib.problem.equations import cost_of_places
+from tests.calib.problem.equations import cost_of_points
 from tests.calib.problem.made_problem import problem
 from trinoc.calib.problem.board_shape import with_free_points
 from trinoc.calib.problem.equations import PointsProblem
@@ -80,11 +80,11 @@ def rows_of(parametrization, kind):
 @eqx.filter_jit
 def _cost(state, parametrization, table, loss, head):
     moved = retract(state, parametrization, head, np.zeros((len(state.rig_from_board), 6)))
-    return cost_of_places(PointsProblem(parametrization, table, loss), moved)
+    return cost_of_points(PointsProblem(parametrization, table, loss), moved)
 
 
 @functools.cache
-def known(sheet_model_name):
+def equations_with_priors(sheet_model_name):
     models = {"board": WarpedBoard(np.array([[60.0, 50.0]])), "paper": BentPaper(np.array(80.0))}
     state, parametrization, table = with_every_prior(models[sheet_model_name])
     loss = GemanMcClure.from_scale(np.full(len(table.shot), np.inf))
@@ -101,7 +101,7 @@ def known(sheet_model_name):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_prior_is_the_same_in_cost_gradient_and_information(kind, sheet_model):
     """The cost is quadratic in the step, so that its differences are exact."""
-    cost, parametrization, equations = known(sheet_model)
+    cost, parametrization, equations = equations_with_priors(sheet_model)
     rows, random = rows_of(parametrization, kind), np.random.default_rng(1)
     for _ in range(2):
         step = np.zeros(len(parametrization.free))

@@ -45,7 +45,7 @@ def largest_slope(model, shape) -> float:
     return float(np.abs(np.asarray(jax.vmap(jax.jacfwd(height))(jnp.asarray(PLACES_MM)))).max())
 
 
-# Of each model: bends along X alone, and the same turned to Y, in mm.
+# For each model: bends along X alone, and the same turned to Y, in mm.
 BENDS = {
     "board": (BOARD, np.array([0.0, 0.0, 2.0, 0.0]), np.array([0.0, 0.0, 0.0, 2.0])),
     "paper": (
@@ -62,7 +62,7 @@ def test_a_bend_along_one_axis_keeps_lengths_along_it_and_positions_across_it(mo
     for shape, direction, across in ((along_x, X_MM, 1), (along_y, Y_MM, 0)):
         moved = np.asarray(point_of(sheet, shape)(PLACES_MM))
         np.testing.assert_allclose(moved[:, across], PLACES_MM[:, across], atol=1e-12)
-        # What is left is of fourth order in the slopes.
+        # The remaining stretch is of fourth order in the slopes.
         slope = largest_slope(sheet, shape)
         assert slope > 0.03
         assert np.abs(stretch(sheet, shape, direction)).max() < 10 * slope**4

@@ -47,7 +47,7 @@ unproject = jax.jit(jax.vmap(lambda lens, uv_px: lens.unproject(uv_px), (None, 0
 project = jax.jit(jax.vmap(lambda lens, ray: lens.project_ray(ray), (None, 0)))
 
 
-def seen(rays):
+def bumped_pixels(rays):
     """Pixels of a lens of Brown and Conrady with a bump."""
     uv_px = np.asarray(project(lens_of("left"), rays))
     away = np.sum((uv_px - WHERE_PX) ** 2, axis=1) / WIDTH_PX**2
@@ -70,7 +70,7 @@ def poses(count, seed=3):
 def detections(boards, seed=0):
     random, made = np.random.default_rng(seed), []
     for board in boards:
-        uv_px = seen(BOARD.centres_mm @ board[:, :2].T + board[:, 3])
+        uv_px = bumped_pixels(BOARD.centres_mm @ board[:, :2].T + board[:, 3])
         inside = ((uv_px > 2) & (uv_px < np.array(SIZE_PX) - 3)).all(axis=1)
         count = int(inside.sum())
         made.append(
@@ -180,7 +180,7 @@ def field_error(lens, covariance):
     by_lens, by_turn = np.asarray(by_step)[:, :-3], np.asarray(by_step)[:, -3:]
     without_turn = np.eye(len(by_turn)) - by_turn @ np.linalg.pinv(by_turn)
     by_lens = without_turn @ by_lens
-    return without_turn @ (uv_px - seen(rays).ravel()), by_lens @ covariance @ by_lens.T
+    return without_turn @ (uv_px - bumped_pixels(rays).ravel()), by_lens @ covariance @ by_lens.T
 
 
 def corrected(seed):
