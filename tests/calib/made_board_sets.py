@@ -1,4 +1,4 @@
-"""Shots of boards fixed to each other, by cameras that are known, with seeded noise."""
+"""Simulated shots of boards fixed to each other, by known cameras, with seeded noise."""
 
 import numpy as np
 
@@ -39,8 +39,8 @@ CAMERAS = {
 LENS_OF = dict(zip(CAMERAS, LENSES, strict=True))
 
 
-def sets_held(count: int, seed: int = 0) -> np.ndarray:
-    """rig_from_set of each shot: the front toward the left camera, tilted and rolled."""
+def poses_of_set(count: int, seed: int = 0) -> np.ndarray:
+    """rig_from_set of each shot: the front faces the left camera, tilted and rolled at random."""
     random, poses = np.random.default_rng(seed), []
     for _ in range(count):
         about, tilt = random.uniform(0, 2 * np.pi), random.uniform(0.25, 0.75)
@@ -49,22 +49,22 @@ def sets_held(count: int, seed: int = 0) -> np.ndarray:
         )
         roll = np.asarray(rotation_from_vector(np.array([0.0, 0.0, random.uniform(-0.5, 0.5)])))
         rotation = turn @ roll @ np.diag([1.0, -1.0, -1.0])
-        place = [*random.uniform(-50, 50, 2), random.uniform(560, 700)]
-        poses.append(np.column_stack([rotation, place]))
+        position_mm = [*random.uniform(-50, 50, 2), random.uniform(560, 700)]
+        poses.append(np.column_stack([rotation, position_mm]))
     return np.stack(poses)
 
 
-def seen(
+def detect_boards(
     camera: str, rig_from_set: np.ndarray, boards: tuple[str, ...], random: np.random.Generator
 ) -> Detection | None:
-    """All boards of a set that face the camera and lie in its picture."""
+    """Detection of all boards of a set that face the camera and lie in its image."""
     index, pixels, first = [], [], 0
     for name in boards:
         board = BOARDS[name]
         pose = chained(rig_from_set, IN_SET[name])
         in_camera = chained(CAMERAS[camera], pose)
-        places = np.pad(board.centres_mm, ((0, 0), (0, 1)))
-        exact = np.asarray(_pixels(lens_of(LENS_OF[camera]), CAMERAS[camera], pose, places))
+        points_mm = np.pad(board.centres_mm, ((0, 0), (0, 1)))
+        exact = np.asarray(_pixels(lens_of(LENS_OF[camera]), CAMERAS[camera], pose, points_mm))
         inside = ((exact > 2) & (exact < np.array(SIZE_PX) - 3)).all(axis=1)
         faces = in_camera[:, 2] @ in_camera[:, 3] < -0.35 * np.linalg.norm(in_camera[:, 3])
         if faces and inside.mean() > (0.99 if isinstance(board, Chessboard) else 0.6):
@@ -94,13 +94,16 @@ def set_shots(
     *,
     seed: int = 1,
     count: int = 10,
-    held: int = 0,
+    pose_seed: int = 0,
 ) -> dict[str, list[Detection | None]]:
-    """What each camera sees in each shot."""
-    random, poses = np.random.default_rng(seed), sets_held(count, held)
-    return {camera: [seen(camera, pose, boards, random) for pose in poses] for camera in cameras}
+    """Detections of each camera in each shot."""
+    random, poses = np.random.default_rng(seed), poses_of_set(count, pose_seed)
+    return {
+        camera: [detect_boards(camera, pose, boards, random) for pose in poses]
+        for camera in cameras
+    }
 
 
 def fixed(first: str, second: str) -> np.ndarray:
-    """first_from_second, as the block has it."""
+    """True first_from_second of two boards of the block."""
     return chained(inverse(IN_SET[first]), IN_SET[second])

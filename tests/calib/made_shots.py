@@ -1,4 +1,4 @@
-"""Shots of a board by cameras that are known, with seeded noise."""
+"""Simulated shots of a board by known cameras, with seeded noise."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ PLACES = {"left": (-0.35, 220.0), "middle": (0.0, 0.0), "right": (0.35, -220.0)}
 
 
 def chained(second: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """`first`, then `second`, by matrices (4, 4)."""
+    """Matrix (4, 4) of the motion `first` followed by `second`."""
     last = [[0.0, 0.0, 0.0, 1.0]]
     return (np.vstack([second, last]) @ np.vstack([first, last]))[:3]
 
@@ -47,7 +47,7 @@ def cam_from_rig(name: str) -> np.ndarray:
 
 
 def board_poses(count: int, seed: int = 0, tilt_deg: float = 40.0) -> np.ndarray:
-    """Poses before the middle camera, as people hold a board."""
+    """Random poses of a hand-held board in front of the middle camera."""
     random = np.random.default_rng(seed)
     poses = []
     for _ in range(count):
@@ -57,18 +57,18 @@ def board_poses(count: int, seed: int = 0, tilt_deg: float = 40.0) -> np.ndarray
         roll = np.asarray(rotation_from_vector(np.array([0.0, 0.0, random.uniform(-0.3, 0.3)])))
         facing = np.diag([1.0, -1.0, -1.0])
         rotation = np.asarray(rotation_from_vector(turn)) @ roll @ facing
-        place = [*random.uniform(-50, 50, 2), random.uniform(520, 700)]
-        poses.append(np.column_stack([rotation, place]))
+        position_mm = [*random.uniform(-50, 50, 2), random.uniform(520, 700)]
+        poses.append(np.column_stack([rotation, position_mm]))
     return np.stack(poses)
 
 
 @jax.jit
-def _pixels(lens, cam, board, places):
-    def pixel(place):
-        in_rig = board[:, :3] @ place + board[:, 3]
+def _pixels(lens, cam, board, points_mm):
+    def pixel(point_mm):
+        in_rig = board[:, :3] @ point_mm + board[:, 3]
         return lens.project_ray(cam[:, :3] @ in_rig + cam[:, 3])
 
-    return jax.vmap(pixel)(places)
+    return jax.vmap(pixel)(points_mm)
 
 
 def detection(
@@ -79,13 +79,13 @@ def detection(
     sigma_px: float = SIGMA_PX,
     aside_mm: np.ndarray | None = None,
 ) -> Detection:
-    """What a perfect detector of corners with this noise reports; only what lies in the picture.
+    """Detection of the corners inside the image by a perfect detector with this noise.
 
-    aside_mm : by which each corner lies elsewhere on the board.
+    aside_mm : displacement of each corner on the board.
     """
-    places = np.pad(target.centres_mm, ((0, 0), (0, 1)))
-    places = places if aside_mm is None else places + aside_mm
-    exact = np.asarray(_pixels(lens_of(name), cam_from_rig(name), board_pose, places))
+    corners_mm = np.pad(target.centres_mm, ((0, 0), (0, 1)))
+    corners_mm = corners_mm if aside_mm is None else corners_mm + aside_mm
+    exact = np.asarray(_pixels(lens_of(name), cam_from_rig(name), board_pose, corners_mm))
     inside = ((exact > 2) & (exact < np.array(SIZE_PX) - 3)).all(axis=1)
     count = int(inside.sum())
     return Detection(

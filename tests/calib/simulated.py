@@ -1,4 +1,4 @@
-"""Detections of a sheet whose cameras are known: exact ellipse centres plus seeded noise."""
+"""Simulated detections of a sheet by known cameras: exact ellipse centres plus seeded noise."""
 
 import jax
 import numpy as np
@@ -31,7 +31,7 @@ SIGMA_PX = 0.005
 
 
 def reference_sheet() -> Pattern:
-    """Five by five circles of 6 mm radius at 20 mm, the lines stopping at the circles."""
+    """Sheet of 5 x 5 circles of 6 mm radius at 20 mm, with lines that stop at the circles."""
     return Pattern.cross_grid(rows=5, columns=5, pitch_mm=20.0, radius_mm=6.0, rings="none")
 
 
@@ -60,7 +60,7 @@ def simulated_detection(
     circles: np.ndarray | None = None,
     lines_seen: bool = True,
 ) -> Detection:
-    """What a perfect detector would report of `circles` (indices; all of them by default)."""
+    """Detection of `circles` (indices; all by default) by a perfect detector with noise."""
     index = np.arange(len(pattern)) if circles is None else np.asarray(circles)
     exact = np.asarray(
         _ellipse_centres(camera, pattern.centres_mm[index], pattern.radius_mm[index])

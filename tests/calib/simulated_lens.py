@@ -1,6 +1,7 @@
-"""Detections through a known lens, by OpenCV's projection and none of the fitted model's code.
+"""Simulated detections through a known lens, by OpenCV's projection.
 
-The centre of a circle's image is the centroid of the polygon of its projected boundary.
+They use no code of the fitted model. The centre of a circle's image is the centroid of the
+polygon of its projected boundary.
 """
 
 import cv2
@@ -80,15 +81,15 @@ def detection(
     values: np.ndarray = LENS,
     sheet: Pattern = SHEET,
 ) -> Detection:
-    """What a perfect detector would report of the circles that lie in the picture."""
+    """Detection of the circles that lie in the image, by a perfect detector with noise."""
     noise = np.random.default_rng(seed).normal(0.0, sigma_px, (len(sheet), 2))
     uv_px = centres_px(cam_from_world, values, sheet) + noise
     index = np.flatnonzero(((uv_px > 10) & (uv_px < np.array(SIZE_PX) - 11)).all(axis=1))
-    claimed = max(sigma_px, 1e-3)
+    reported_sigma_px = max(sigma_px, 1e-3)
     return Detection(
         circle_index=index,
         centres_px=uv_px[index],
-        covariance_px2=np.tile(claimed**2 * np.eye(2), (len(index), 1, 1)),
+        covariance_px2=np.tile(reported_sigma_px**2 * np.eye(2), (len(index), 1, 1)),
         shape_px2=np.tile(100.0 * np.eye(2), (len(index), 1, 1)),
         lines_px=np.full((2, 3), np.nan),
         image_size_px=SIZE_PX,
@@ -105,17 +106,17 @@ def lens_values(result: CalibrationResult) -> np.ndarray:
 
 
 def lens_sigmas(result: CalibrationResult) -> np.ndarray:
-    """Their standard deviations."""
+    """Standard deviations of the parameters of the only lens."""
     return np.array([result.sigma(name) for name in result.lens_parameters])
 
 
 def fitted_names(result: CalibrationResult) -> tuple[str, ...]:
-    """Parameters of the only lens that were not held."""
+    """Names of the estimated parameters of the only lens."""
     return tuple(name for name in result.lens_parameters if result.sigma(name) != 0.0)
 
 
 def squared_distance(result: CalibrationResult, truth: np.ndarray) -> float:
-    """Mahalanobis distance, squared, of the fitted parameters of the only lens from the truth."""
+    """Squared Mahalanobis distance of the only lens's fitted parameters from the truth."""
     names = result.lens_parameters
     rows = [names.index(name) for name in fitted_names(result)]
     error = (lens_values(result) - truth)[rows]

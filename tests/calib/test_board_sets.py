@@ -1,4 +1,4 @@
-"""Boards fixed to each other: found with the rig, whatever board comes first, and told honestly."""
+"""Boards fixed to each other are estimated with the rig, with any board as the reference."""
 
 import numpy as np
 import pytest
@@ -9,11 +9,11 @@ from tests.calib.made_board_sets import (
     IN_SET,
     LENS_OF,
     SIGMA_PX,
+    detect_boards,
     fixed,
-    seen,
+    poses_of_set,
     set_of,
     set_shots,
-    sets_held,
 )
 from tests.calib.made_shots import (
     BOARD,
@@ -56,17 +56,23 @@ def far_from_left(rig) -> np.ndarray:
 
 
 def known_problem(random: np.random.Generator, systematics: Systematics = EXACT) -> Problem:
-    """Cameras that face each other, and a board for each, at the truth; their lenses are known."""
+    """Problem at the truth: cameras that face each other, one board for each, and known lenses."""
     cameras, boards = OPPOSITE
-    target, poses, views = set_of(boards), sets_held(6), []
+    target, poses, views = set_of(boards), poses_of_set(6), []
     for number, camera in enumerate(cameras):
         for shot, pose in enumerate(poses):
-            found = seen(camera, pose, boards, random)
-            if found is None:
+            detection = detect_boards(camera, pose, boards, random)
+            if detection is None:
                 continue
-            for board, own in split_by_board(found, target).items():
+            for board, board_detection in split_by_board(detection, target).items():
                 views.append(
-                    BoardObservation(number, shot, own, np.ones(len(own), bool), board=board)
+                    BoardObservation(
+                        number,
+                        shot,
+                        board_detection,
+                        np.ones(len(board_detection), bool),
+                        board=board,
+                    )
                 )
     return start_problem(
         views,
@@ -82,8 +88,8 @@ def known_problem(random: np.random.Generator, systematics: Systematics = EXACT)
 
 
 @pytest.fixture(scope="module")
-def found():
-    """Cameras that face each other: neither ever sees what the other sees."""
+def calibration():
+    """Calibration of cameras that face each other and never see the same board."""
     cameras, boards = OPPOSITE
     shots = set_shots(boards, cameras, count=8)
     return calibrate_rig(
@@ -94,49 +100,53 @@ def found():
 KNOWN_OPPOSITE = {name: KNOWN[name] for name in OPPOSITE[0]}
 
 
-def test_cameras_that_never_see_one_board_are_connected_by_their_motions(found):
-    assert found.has_rig
+def test_cameras_that_never_see_one_board_are_connected_by_their_motions(calibration):
+    assert calibration.has_rig
     true = chained(CAMERAS["far"], inverse(CAMERAS["left"]))
-    np.testing.assert_allclose(far_from_left(found.rig), true, atol=0.3)
-    np.testing.assert_allclose(found.reference_from_board[1], fixed("front", "back"), atol=0.2)
+    np.testing.assert_allclose(far_from_left(calibration.rig), true, atol=0.3)
+    np.testing.assert_allclose(
+        calibration.reference_from_board[1], fixed("front", "back"), atol=0.2
+    )
     for k, axis in enumerate("xyz"):
         name = f"board.back.{axis}_mm"
-        assert abs(found.value(name) - fixed("front", "back")[k, 3]) < 4 * found.sigma(name)
-        assert 0 < found.sigma(name) < 0.2
-        assert 0 < found.sigma(f"board.back.turn_{axis}_deg") < 0.1
-    assert 0.8 < found.reduced_chi_square < 1.2
-    (sentence,) = fixed_boards(found)
+        assert abs(calibration.value(name) - fixed("front", "back")[k, 3]) < 4 * calibration.sigma(
+            name
+        )
+        assert 0 < calibration.sigma(name) < 0.2
+        assert 0 < calibration.sigma(f"board.back.turn_{axis}_deg") < 0.1
+    assert 0.8 < calibration.reduced_chi_square < 1.2
+    (sentence,) = fixed_boards(calibration)
     assert sentence.startswith('"back" lies at x ')
-    assert sentence in found.summary()
-    assert 0.4 < found.halves.ratio < 1.8
+    assert sentence in calibration.summary()
+    assert 0.4 < calibration.halves.ratio < 1.8
 
 
-def test_which_board_is_the_reference_changes_the_frame_alone(found):
+def test_which_board_is_the_reference_changes_the_frame_alone(calibration):
     cameras, boards = OPPOSITE
     turned = boards[::-1]
     pictures = {}
-    for camera, own in set_shots(boards, cameras, count=8).items():
+    for camera, detections in set_shots(boards, cameras, count=8).items():
         # The same noise: the labels alone change.
         counts = [len(BOARDS[name]) for name in boards]
         order = np.concatenate([np.arange(counts[0]) + counts[1], np.arange(counts[1])])
         pictures[camera] = [
             Detection(**{**vars(each), "circle_index": order[each.circle_index]})
-            for each in own
+            for each in detections
             if each is not None
         ]
     other = calibrate_rig(
         pictures, set_of(turned), lens=KNOWN_OPPOSITE, systematics=EXACT, world="left"
     )
     assert other.has_rig
-    np.testing.assert_allclose(far_from_left(other.rig), far_from_left(found.rig), atol=1e-5)
+    np.testing.assert_allclose(far_from_left(other.rig), far_from_left(calibration.rig), atol=1e-5)
     np.testing.assert_allclose(
-        other.reference_from_board[1], inverse(found.reference_from_board[1]), atol=1e-5
+        other.reference_from_board[1], inverse(calibration.reference_from_board[1]), atol=1e-5
     )
-    for name in found.rig.parameters:
-        assert other.rig.sigma(name) == pytest.approx(found.rig.sigma(name), rel=1e-4)
+    for name in calibration.rig.parameters:
+        assert other.rig.sigma(name) == pytest.approx(calibration.rig.sigma(name), rel=1e-4)
     # The set lies where its first board does.
     np.testing.assert_allclose(
-        chained(found.world_from_board[0], found.reference_from_board[1]),
+        chained(calibration.world_from_board[0], calibration.reference_from_board[1]),
         other.world_from_board[0],
         atol=1e-5,
     )
@@ -175,10 +185,10 @@ def test_motions_that_turn_about_one_axis_leave_something_open():
     first = board_poses(5)
     second = [Pose(chained(chained(cameras, pose), boards)) for pose in first]
     first = [Pose(pose) for pose in first]
-    found = solve_hand_eye(first, second, TUNING)
-    assert found is not None
-    np.testing.assert_allclose(found.cameras.cam_from_world, cameras, atol=1e-8)
-    np.testing.assert_allclose(found.boards.cam_from_world, boards, atol=1e-8)
+    solution = solve_hand_eye(first, second, TUNING)
+    assert solution is not None
+    np.testing.assert_allclose(solution.cameras.cam_from_world, cameras, atol=1e-8)
+    np.testing.assert_allclose(solution.boards.cam_from_world, boards, atol=1e-8)
     angles = 0.2 * np.arange(5)
     turns = [np.asarray(rotation_from_vector(np.array([0.0, 0.0, angle]))) for angle in angles]
     on_a_table = [
@@ -216,8 +226,8 @@ def test_a_set_is_fitted_by_its_points_alone():
 @pytest.mark.slow
 def test_a_camera_sees_several_boards_in_a_shot():
     names = ("front", "side")
-    known = {name: KNOWN[name] for name in ("left", "right")}
-    result = calibrate_rig(set_shots(names, ("left", "right"), count=8), set_of(names), lens=known)
+    lenses = {name: KNOWN[name] for name in ("left", "right")}
+    result = calibrate_rig(set_shots(names, ("left", "right"), count=8), set_of(names), lens=lenses)
     assert result.has_rig
     np.testing.assert_allclose(result.reference_from_board[1], fixed(*names), atol=0.5)
     assert {view.board for view in result.views} == {0, 1}

@@ -1,4 +1,4 @@
-"""From pictures to a rig: the whole way, and what bad pictures give."""
+"""Calibration from images to a rig, and the messages for bad images."""
 
 import functools
 
@@ -34,7 +34,7 @@ def errors_in_sigmas(result: CalibrationResult) -> np.ndarray:
 
 
 def test_cameras_are_adjusted_once_by_circles_and_once_by_grey_levels(monkeypatch) -> None:
-    """Where the ink has not spread and no grey levels are rejected."""
+    """Two adjustments are enough if the ink has not spread and no grey levels are rejected."""
     methods = []
 
     def counted(cameras, *arguments):
@@ -70,8 +70,8 @@ def test_the_paper_s_rig_is_recovered() -> None:
 @pytest.mark.slow
 def test_distortion_is_modelled_and_missed_when_it_is_left_out() -> None:
     images = {"left": picture("left", lens_is_distorted=True)}
-    known = calibrate(images, SHEET, DISTORTED_LENS, systematics=EXACT)
-    assert np.abs(errors_in_sigmas(known)).max() < 5.0
+    modelled = calibrate(images, SHEET, DISTORTED_LENS, systematics=EXACT)
+    assert np.abs(errors_in_sigmas(modelled)).max() < 5.0
     ignored = calibrate(images, SHEET, LENS, systematics=EXACT)
     assert "radial distortion" in ignored.fits["left"].notes[0]
 

@@ -1,4 +1,4 @@
-"""Laws that the calibration of a lens obeys, and that its errors scatter as it says."""
+"""Laws of the calibration of a lens, and the scatter of its errors against their covariance."""
 
 import dataclasses
 
@@ -36,9 +36,9 @@ def test_exact_centres_give_the_lens_back():
 
 
 def test_the_order_of_pictures_does_not_matter():
-    found = detections(POSES)
-    one = calibrate_intrinsics(found, SHEET)
-    other = calibrate_intrinsics(found[::-1], SHEET)
+    image_detections = detections(POSES)
+    one = calibrate_intrinsics(image_detections, SHEET)
+    other = calibrate_intrinsics(image_detections[::-1], SHEET)
     assert (np.abs(lens_values(one) - lens_values(other)) < 1e-3 * lens_sigmas(one)).all()
     np.testing.assert_allclose(lens_sigmas(one), lens_sigmas(other), rtol=1e-4)
 
@@ -56,8 +56,11 @@ def test_turning_the_sheet_by_90_degrees_leaves_the_lens():
         line_style=SHEET.line_style,
         line_gap_mm=SHEET.line_gap_mm,
     )
-    found = detections(POSES)
-    one, other = calibrate_intrinsics(found, SHEET), calibrate_intrinsics(found, turned)
+    image_detections = detections(POSES)
+    one, other = (
+        calibrate_intrinsics(image_detections, SHEET),
+        calibrate_intrinsics(image_detections, turned),
+    )
     assert (np.abs(lens_values(one) - lens_values(other)) < 1e-3 * lens_sigmas(one)).all()
     np.testing.assert_allclose(lens_sigmas(one), lens_sigmas(other), rtol=1e-4)
 
@@ -76,13 +79,13 @@ def test_errors_scatter_as_the_covariance_says():
 
 
 def test_circles_located_wrongly_are_left_out_and_counted():
-    found = detections(POSES)
+    image_detections = detections(POSES)
     clean = calibrate_intrinsics(detections(POSES), SHEET)
     for number, rows, shift in ((2, [5], [0.4, -0.3]), (5, [1, 7], [30.0, 30.0])):
-        centres = found[number].centres_px.copy()
+        centres = image_detections[number].centres_px.copy()
         centres[rows] += shift
-        found[number] = dataclasses.replace(found[number], centres_px=centres)
-    result = calibrate_intrinsics(found, SHEET)
+        image_detections[number] = dataclasses.replace(image_detections[number], centres_px=centres)
+    result = calibrate_intrinsics(image_detections, SHEET)
     used = [view.used for view in result.views]
     assert np.flatnonzero(~used[2]).tolist() == [5]
     assert np.flatnonzero(~used[5]).tolist() == [1, 7]
@@ -93,33 +96,33 @@ def test_circles_located_wrongly_are_left_out_and_counted():
 
 def test_sigmas_grow_with_the_residuals():
     honest = calibrate_intrinsics(detections(POSES, sigma_px=0.05), SHEET)
-    found = [
+    image_detections = [
         dataclasses.replace(each, covariance_px2=each.covariance_px2 / 100.0)
         for each in detections(POSES, sigma_px=0.05)
     ]
-    bold = calibrate_intrinsics(found, SHEET)
+    bold = calibrate_intrinsics(image_detections, SHEET)
     assert bold.fits["camera"].sigma_factor == pytest.approx(10.0, rel=0.1)
     np.testing.assert_allclose(lens_sigmas(bold), lens_sigmas(honest), rtol=0.1)
 
 
 def test_a_lens_without_distortion_asks_for_none():
     straight = np.append(LENS[:4], np.zeros(5))
-    found = detections(POSES, values=straight)
-    result = calibrate_intrinsics(found, SHEET)
+    image_detections = detections(POSES, values=straight)
+    result = calibrate_intrinsics(image_detections, SHEET)
     assert any("need no distortion" in note for note in result.notes)
-    held = calibrate_intrinsics(found, SHEET, distortion=0)
-    assert held.has_rig
-    assert held.lens.distortion_model == "none"
-    assert (lens_sigmas(held)[4:] == 0).all()
-    assert (np.abs(lens_values(held) - straight) <= 4 * lens_sigmas(held)).all()
+    undistorted = calibrate_intrinsics(image_detections, SHEET, distortion=0)
+    assert undistorted.has_rig
+    assert undistorted.lens.distortion_model == "none"
+    assert (lens_sigmas(undistorted)[4:] == 0).all()
+    assert (np.abs(lens_values(undistorted) - straight) <= 4 * lens_sigmas(undistorted)).all()
 
 
 def test_a_known_aspect_is_held_and_gives_millimetres():
     pitch = (0.0162, 0.0134)
     lens = LENS.copy()
     lens[:2] = 16.0 / np.array(pitch)
-    found = detections(POSES, values=lens)
-    result = calibrate_intrinsics(found, SHEET, pixel_pitch_mm=pitch, aspect="pitch")
+    image_detections = detections(POSES, values=lens)
+    result = calibrate_intrinsics(image_detections, SHEET, pixel_pitch_mm=pitch, aspect="pitch")
     assert fitted_names(result) == BrownConrady.parameter_names
     assert result.value("fy_px") / result.value("fx_px") == pytest.approx(
         pitch[0] / pitch[1], rel=1e-12
@@ -129,10 +132,10 @@ def test_a_known_aspect_is_held_and_gives_millimetres():
         16.0, abs=4 * result.sigma("fx_px") * 0.0162
     )
     # Both change by one step: their errors are one, in that ratio.
-    both = result.lens_covariance[:2, :2]
+    focal_covariance = result.lens_covariance[:2, :2]
     of_fx = np.array([1.0, pitch[0] / pitch[1]])
-    np.testing.assert_allclose(both, both[0, 0] * np.outer(of_fx, of_fx))
-    free = calibrate_intrinsics(found, SHEET, pixel_pitch_mm=pitch)
+    np.testing.assert_allclose(focal_covariance, focal_covariance[0, 0] * np.outer(of_fx, of_fx))
+    free = calibrate_intrinsics(image_detections, SHEET, pixel_pitch_mm=pitch)
     assert result.sigma("fy_px") <= free.sigma("fy_px")
 
 

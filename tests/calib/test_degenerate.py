@@ -1,4 +1,4 @@
-"""Sheets and points that tell no camera are named; the cases are those of docs/limits.md."""
+"""Sheets and points that determine no camera are named. The cases are those of docs/limits.md."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def calibrated(**images):
 
 
 def folded():
-    """k1 of another sign and size than any lens has."""
+    """Calibrate with k1 of another sign and size than any real lens has."""
     lens = table1_lens(distortion=(-50.0,))
     return trinoc.calibrate({"upper": picture()}, PATTERN, lens, method="points")
 
@@ -88,7 +88,7 @@ def test_what_tells_no_camera_is_named(case):
 
 
 def test_circles_below_a_black_bar_are_left_out_without_a_warning():
-    """As where rows of a picture are lost; warnings are errors here."""
+    """The bar stands for lost rows of the image. Warnings are errors here."""
     first, last = 200, 259
     lost = picture()
     lost[first : last + 1] = 0

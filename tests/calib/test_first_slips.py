@@ -1,4 +1,4 @@
-"""What a first call in Python gets wrong is said in words."""
+"""Mistakes in a first call in Python have messages that name the cause."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ SHEET = Pattern.circle_grid(rows=3, columns=4, pitch_mm=10.0, radius_mm=2.0)
 
 
 @pytest.mark.parametrize(
-    ("images", "pattern", "says"),
+    ("images", "pattern", "message"),
     [
         ({"left": None}, SHEET, 'camera "left" is None'),
         ({"left": "left.png"}, SHEET, "is a str, but must be an array"),
@@ -21,8 +21,8 @@ SHEET = Pattern.circle_grid(rows=3, columns=4, pitch_mm=10.0, radius_mm=2.0)
         ({"left": PICTURE}, "sheet.json", "of type str. Give a trinoc.Pattern"),
     ],
 )
-def test_slips_are_named(images, pattern, says):
-    with pytest.raises(InputError, match=says):
+def test_slips_are_named(images, pattern, message):
+    with pytest.raises(InputError, match=message):
         check_images(images, pattern)
 
 

@@ -1,4 +1,4 @@
-"""Fitted lenses that fold the image: refused, or usable up to the fold, with what to do."""
+"""A fitted lens that folds the image is refused, or usable up to the fold, with advice."""
 
 from typing import cast
 
@@ -36,16 +36,16 @@ from trinoc.geometry.lenses.polynomial import Rational
 def test_a_distortion_seen_in_the_middle_alone_is_not_a_result(monkeypatch):
     folds = np.array([350.0, 350.0, 319.5, 239.5, -0.27, 0.0, 0.0, 0.0, 0.0])
     monkeypatch.setitem(made_shots.LENSES, "left", folds)
-    seen = shots(count=8, cameras=("left",))
+    detections = shots(count=8, cameras=("left",))
     with pytest.raises(CalibrationError, match="fewer coefficients") as raised:
-        calibrate_rig(seen, BOARD, distortion=1)
+        calibrate_rig(detections, BOARD, distortion=1)
     assert str(raised.value).startswith('The fitted distortion of "left" folds the image 2')
-    result = calibrate_rig(seen, BOARD, distortion=1, throw=False)
+    result = calibrate_rig(detections, BOARD, distortion=1, throw=False)
     assert result.overall_status is Status.SUSPECT
     assert not result.has_rig
     assert result.halves is None
     assert str(raised.value) in result.summary()
-    assert calibrate_rig(seen, BOARD, distortion=0, throw=False).has_rig
+    assert calibrate_rig(detections, BOARD, distortion=0, throw=False).has_rig
 
 
 def test_the_first_lens_that_folds_too_near_is_named():
@@ -80,10 +80,10 @@ T265 = np.array([290.0, 290.0, 420.0, 388.0, 0.0144, 0.016, -0.019, 0.0])
 def fisheye_shots(
     parameters: np.ndarray = T265, count: int = 30, sigma_px: float = 0.2
 ) -> list[Detection]:
-    """Corners up to 350 px from the middle of a picture of 848 x 800 px."""
+    """Detections of corners up to 350 px from the middle of an image of 848 x 800 px."""
     lens = KannalaBrandt.from_parameters(parameters)
-    random, found = np.random.default_rng(0), []
-    places = np.pad(BOARD.centres_mm, ((0, 0), (0, 1)))
+    random, detections = np.random.default_rng(0), []
+    corners_mm = np.pad(BOARD.centres_mm, ((0, 0), (0, 1)))
     for azimuth in 6 * np.pi * np.arange(count) / count:
         off = np.radians(random.uniform(0, 58))
         about = off * np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
@@ -91,10 +91,10 @@ def fisheye_shots(
         tilt = Rotation.from_rotvec(random.uniform(-0.6, 0.6, 3)).as_matrix()
         rotation = toward @ tilt @ np.diag([1.0, -1.0, -1.0])
         pose = np.column_stack([rotation, random.uniform(150, 260) * toward[:, 2]])
-        uv_px = np.asarray(made_shots._pixels(lens, np.eye(3, 4), pose, places))
+        uv_px = np.asarray(made_shots._pixels(lens, np.eye(3, 4), pose, corners_mm))
         index = np.flatnonzero(np.linalg.norm(uv_px - [420, 388], axis=1) < 350)
         size = len(index)
-        found.append(
+        detections.append(
             Detection(
                 circle_index=index,
                 centres_px=uv_px[index] + random.normal(0, sigma_px, (size, 2)),
@@ -104,18 +104,18 @@ def fisheye_shots(
                 image_size_px=(848, 800),
             )
         )
-    return [each for each in found if len(each) >= 8]
+    return [each for each in detections if len(each) >= 8]
 
 
 def test_a_coefficient_that_folds_the_image_is_fixed_where_the_residuals_allow_it():
-    given = fisheye_shots()
+    detections = fisheye_shots()
     folded = calibrate_intrinsics(
-        given, BOARD, lens_model="kannala_brandt", distortion=3, throw=False
+        detections, BOARD, lens_model="kannala_brandt", distortion=3, throw=False
     )
     assert folded.overall_status is Status.SUSPECT
     assert not folded.has_rig
     assert folded.notes[0].startswith('The fitted distortion of "camera" folds the image 3')
-    result = calibrate_intrinsics(given, BOARD, lens_model="kannala_brandt")
+    result = calibrate_intrinsics(detections, BOARD, lens_model="kannala_brandt")
     assert result.has_rig
     assert describe_fold(result.lens) is None
     (note,) = [note for note in result.notes if "k3 was fixed at 0" in note]
@@ -129,18 +129,17 @@ IN_CORNERS = np.array([500.0, 500.0, 319.5, 239.5, -0.15, -0.14, 0.0, 0.0, 0.0])
 
 
 def corner_shots(camera: str = "left") -> list[Detection]:
-    """Corners of the board in the middle of the image, nearly without noise."""
+    """Detections of corners in the middle of the image, nearly without noise."""
     random = np.random.default_rng(0)
     poses = board_poses(10) * [1.0, 1.0, 1.0, 0.5]
     return [detection(camera, pose, random, sigma_px=0.01) for pose in poses]
 
 
 def test_a_coefficient_that_the_residuals_ask_for_is_not_fixed(monkeypatch, tmp_path):
-    """Without k2 the principal point moves by 24 px: no lens is better than that one, which is
-    usable up to its fold."""
+    """Without k2 the principal point moves by 24 px: the lens with its fold is the best one."""
     monkeypatch.setitem(made_shots.LENSES, "left", IN_CORNERS)
-    given = corner_shots()
-    result = calibrate_intrinsics(given, BOARD, lens_model="brown_conrady")
+    detections = corner_shots()
+    result = calibrate_intrinsics(detections, BOARD, lens_model="brown_conrady")
     assert result.overall_status is Status.CONVERGED
     assert result.has_rig
     assert result.sigma("k2") > 0.0
@@ -163,17 +162,19 @@ def test_a_rig_with_a_fold_in_the_corners_has_a_note_and_is_read_back(monkeypatc
 
 
 def test_a_lens_that_does_not_fold_keeps_its_coefficients():
-    given = shots(count=8, cameras=("left",))["left"]
-    result = calibrate_intrinsics(given, BOARD)
+    detections = shots(count=8, cameras=("left",))["left"]
+    result = calibrate_intrinsics(detections, BOARD)
     assert not any("folds" in note for note in result.notes)
 
 
 def test_a_strong_distortion_has_a_wider_model_unless_one_is_named():
-    """The corners lie 73 degrees off the axis and the board is seen to 45: the polynomial of
-    Brown-Conrady turns back between them."""
+    """The polynomial of Brown-Conrady folds between the board and the corners of the image.
+
+    The board covers angles up to 45 degrees off the axis, and the corners lie at 73.
+    """
     true = np.array([450.0, 450.0, 420.0, 388.0, 0.02, 0.005, 0.0, 0.0])
-    given = fisheye_shots(true, count=16, sigma_px=0.05)
-    result = calibrate_rig({"left": given}, BOARD)
+    detections = fisheye_shots(true, count=16, sigma_px=0.05)
+    result = calibrate_rig({"left": detections}, BOARD)
     assert result.has_rig
     lens = result.rig["left"].intrinsics
     assert lens.distortion_model in ("rational", "kannala_brandt")
@@ -181,24 +182,24 @@ def test_a_strong_distortion_has_a_wider_model_unless_one_is_named():
     (note,) = [note for note in result.notes if "was used therefore" in note]
     assert note.startswith('The brown_conrady distortion of "left" folds the image')
     assert abs(result.value("left.fx_px") - 450.0) < 3 * result.sigma("left.fx_px")
-    named = calibrate_rig({"left": given}, BOARD, lens_model="brown_conrady")
+    named = calibrate_rig({"left": detections}, BOARD, lens_model="brown_conrady")
     (note,) = [note for note in named.notes if "folds the image" in note]
     assert note.startswith('The distortion of "left" folds the image 404 px')
     assert named.has_rig
     assert 400 < named.rig["left"].intrinsics.valid_radius_px < 410
-    alone = calibrate_intrinsics(given, BOARD)
+    alone = calibrate_intrinsics(detections, BOARD)
     assert alone.has_rig
     assert alone.lens.distortion_model == lens.distortion_model
     assert any("was used therefore" in note for note in alone.notes)
 
 
 def holder(fit: RobustFit) -> ShotsFit:
-    """The fit of a rig, as `fit_wider_model` takes it."""
+    """Fit of a rig as `fit_wider_model` expects it."""
     return ShotsFit(cast(InitialRig, None), fit)
 
 
 def fit_with_noise(sigma_px: float) -> ShotsFit:
-    """The three cameras at the truth, with residuals of this standard deviation."""
+    """Fit of the three cameras at the truth, with residuals of this standard deviation."""
     poses, random = board_poses(8), np.random.default_rng(0)
     here, names = problem(poses), tuple(made_shots.LENSES)
     # Eight shots do not determine k3.
@@ -213,11 +214,11 @@ def fit_with_noise(sigma_px: float) -> ShotsFit:
 
 
 @pytest.mark.parametrize(
-    ("rational_px", "fisheye_px", "chosen"),
+    ("rational_px", "fisheye_px", "expected_model"),
     [(0.11, 0.05, Rational), (0.15, 0.11, KannalaBrandt), (0.15, 0.15, None)],
 )
 def test_a_wider_model_is_taken_where_it_explains_the_corners_as_well(
-    monkeypatch, rational_px, fisheye_px, chosen
+    monkeypatch, rational_px, fisheye_px, expected_model
 ):
     """The fit that folds has residuals of 0.1 px; up to a fifth more is no worse."""
     fits = {Rational: fit_with_noise(rational_px), KannalaBrandt: fit_with_noise(fisheye_px)}
@@ -225,16 +226,16 @@ def test_a_wider_model_is_taken_where_it_explains_the_corners_as_well(
     monkeypatch.setitem(made_shots.LENSES, "left", folds)
     folding = fit_with_noise(0.1)
     result = fit_wider_model(folding, fits.__getitem__, tuple(made_shots.LENSES))
-    assert result.fit is (folding if chosen is None else fits[chosen]).fit
-    if chosen is None:
+    assert result.fit is (folding if expected_model is None else fits[expected_model]).fit
+    if expected_model is None:
         assert result.remarks == ()
     else:
         (sentence,) = result.remarks
-        assert f"The lens model {chosen.model} was used therefore" in sentence
+        assert f"The lens model {expected_model.model} was used therefore" in sentence
 
 
 def test_a_wider_model_that_the_shots_do_not_determine_is_not_taken(monkeypatch):
-    """The residuals of too many coefficients are always small."""
+    """A model with too many coefficients always has small residuals."""
     determined = fit_with_noise(0.05)
     free = np.ones((3, 9), dtype=bool)
     undetermined = holder(

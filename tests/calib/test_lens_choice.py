@@ -1,4 +1,4 @@
-"""Which lens the shots call for."""
+"""Choice of the lens model by the shots."""
 
 import numpy as np
 import pytest
@@ -13,10 +13,11 @@ from trinoc.errors import InputError
 
 
 def errors(scale, seed, count=12):
-    """Errors of the same shots: what noise makes is common to all lenses, but for a little."""
-    common, own = np.random.default_rng(0), np.random.default_rng(seed)
+    """Errors of the same shots with several lenses, which share most of their noise."""
+    shared_random, lens_random = np.random.default_rng(0), np.random.default_rng(seed)
     return {
-        (0, str(k)): scale * np.abs(common.normal(size=40) * (1 + 0.05 * own.normal(size=40)))
+        (0, str(k)): scale
+        * np.abs(shared_random.normal(size=40) * (1 + 0.05 * lens_random.normal(size=40)))
         for k in range(count)
     }
 
@@ -57,10 +58,13 @@ def test_auto_leaves_nothing_to_be_given():
 
 
 def information(random, share):
-    """Of 40 shots, with noise: four parameters, and three more that tell something else only by
-    `share` of what they do, and the last nothing at all."""
-    free, own = random.normal(size=(2, 40, 4, 4)), random.normal(size=(40, 4, 3))
-    more = free[0] @ np.arange(12.0).reshape(4, 3) + np.sqrt(share) * own
+    """Information of 40 shots with noise about seven parameters.
+
+    Parameters 5 to 7 act as combinations of the first four. Only `share` of the variance of 5 and 6
+    is their own, and none of 7.
+    """
+    free, independent = random.normal(size=(2, 40, 4, 4)), random.normal(size=(40, 4, 3))
+    more = free[0] @ np.arange(12.0).reshape(4, 3) + np.sqrt(share) * independent
     more[..., 2] = free[0] @ np.ones(4)
     rows = np.concatenate([free[0], more], axis=2)
     noise = random.normal(size=(40, 4))
@@ -81,29 +85,29 @@ def test_without_need_of_more_parameters_the_rao_test_gives_any_chance_alike(sha
 
 
 def test_the_rao_test_sees_what_was_held_wrongly():
-    """What other parameters explain does not count, and an offset of five sigmas does."""
+    """An effect of other parameters does not count, and an offset of five sigmas does."""
     random = np.random.default_rng(1)
-    here, held = information(random, 1.0), np.arange(7) >= 4
-    noise = rao_test(here, held).chi_square
-    whole = here.shot_information.sum(axis=0)
-    pulled = here._replace(gradients=here.gradients + (whole @ [3.0, -2, 5, 1, 0, 0, 0]) / 40)
-    assert rao_test(pulled, held).chi_square == pytest.approx(noise)
-    left = whole[4, 4] - whole[4, :4] @ np.linalg.solve(whole[:4, :4], whole[:4, 4])
-    off = np.eye(7)[4] * 5 / np.sqrt(left)
-    off = here._replace(gradients=here.gradients + whole @ off / 40)
-    assert rao_test(off, held).p_value < 1e-3
+    here, is_fixed = information(random, 1.0), np.arange(7) >= 4
+    noise = rao_test(here, is_fixed).chi_square
+    total = here.shot_information.sum(axis=0)
+    pulled = here._replace(gradients=here.gradients + (total @ [3.0, -2, 5, 1, 0, 0, 0]) / 40)
+    assert rao_test(pulled, is_fixed).chi_square == pytest.approx(noise)
+    remaining = total[4, 4] - total[4, :4] @ np.linalg.solve(total[:4, :4], total[:4, 4])
+    off = np.eye(7)[4] * 5 / np.sqrt(remaining)
+    off = here._replace(gradients=here.gradients + total @ off / 40)
+    assert rao_test(off, is_fixed).p_value < 1e-3
 
 
 def test_what_is_freed_first_to_first_order_was_fitted():
     here = information(np.random.default_rng(2), 1.0)
     score = FixedScore(*score_of_fixed(here, np.arange(7) >= 4), 160.0, 156.0, False)
-    beside, fitted = score.with_freed([0]), rao_test(here, np.arange(7) == 5)
-    assert beside.test([1]).chi_square == pytest.approx(fitted.chi_square)
-    np.testing.assert_allclose(beside.test([1]).step, fitted.step)
-    np.testing.assert_allclose(beside.test([1]).covariance, fitted.covariance)
-    assert beside.test([0]).freedom == 0
-    assert beside.squared == 160.0 - score.test([0]).chi_square
-    assert beside.freedom == 155.0
+    score_after_freeing, fitted = score.with_freed([0]), rao_test(here, np.arange(7) == 5)
+    assert score_after_freeing.test([1]).chi_square == pytest.approx(fitted.chi_square)
+    np.testing.assert_allclose(score_after_freeing.test([1]).step, fitted.step)
+    np.testing.assert_allclose(score_after_freeing.test([1]).covariance, fitted.covariance)
+    assert score_after_freeing.test([0]).freedom == 0
+    assert score_after_freeing.squared == 160.0 - score.test([0]).chi_square
+    assert score_after_freeing.freedom == 155.0
 
 
 def test_where_the_shots_cannot_pull_chance_is_all():

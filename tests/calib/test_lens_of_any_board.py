@@ -1,9 +1,9 @@
-"""`calibrate_intrinsics` takes every board, and gives the lens that `calibrate_rig` gives."""
+"""`calibrate_intrinsics` accepts every board and has the same lens as `calibrate_rig`."""
 
 import numpy as np
 import pytest
 
-from tests.calib.made_board_sets import BOARDS, LENS_OF, seen, sets_held
+from tests.calib.made_board_sets import BOARDS, LENS_OF, detect_boards, poses_of_set
 from tests.calib.made_shots import (
     BOARD,
     LENSES,
@@ -33,14 +33,16 @@ ANY_BOARD = {
 }
 
 
-def seen_by_left(board, count: int = 12, seed: int = 4) -> list:
+def detections_by_left(board, count: int = 12, seed: int = 4) -> list:
     random = np.random.default_rng(seed)
     return [detection("left", pose, random, board) for pose in board_poses(count, seed=seed)]
 
 
 @pytest.mark.parametrize("name", ANY_BOARD)
 def test_the_lens_of_any_board_is_the_true_one(name):
-    result = calibrate_intrinsics(seen_by_left(ANY_BOARD[name]), ANY_BOARD[name], distortion=4)
+    result = calibrate_intrinsics(
+        detections_by_left(ANY_BOARD[name]), ANY_BOARD[name], distortion=4
+    )
     assert result.overall_status is Status.CONVERGED
     # A chi-square of eight: its quantile of 1 - 1e-5.
     assert squared_distance(result, LENSES["left"]) < 37.0
@@ -50,9 +52,9 @@ def test_the_lens_of_any_board_is_the_true_one(name):
 
 @pytest.mark.parametrize("systematics", [None, Systematics()])
 def test_it_is_the_lens_that_a_rig_of_one_camera_has(systematics):
-    given = shots(count=8, cameras=("left",))
-    alone = calibrate_intrinsics(given["left"], BOARD, distortion=4, systematics=systematics)
-    rig = calibrate_rig(given, BOARD, distortion=4, systematics=systematics)
+    detections = shots(count=8, cameras=("left",))
+    alone = calibrate_intrinsics(detections["left"], BOARD, distortion=4, systematics=systematics)
+    rig = calibrate_rig(detections, BOARD, distortion=4, systematics=systematics)
     sigma = lens_sigmas(alone)
     assert rig.lens_parameters == alone.lens_parameters
     assert np.all(np.abs(lens_values(rig) - lens_values(alone)) <= 1e-3 * sigma)
@@ -63,21 +65,21 @@ def test_boards_fixed_to_each_other_serve_one_lens():
     random = np.random.default_rng(2)
     boards = ("front", "side")
     target = BoardSet({name: BOARDS[name] for name in boards})
-    found = [seen("left", pose, boards, random) for pose in sets_held(12)]
-    given = [each for each in found if each is not None]
-    result = calibrate_intrinsics(given, target, distortion=4)
+    detections_or_none = [detect_boards("left", pose, boards, random) for pose in poses_of_set(12)]
+    detections = [each for each in detections_or_none if each is not None]
+    result = calibrate_intrinsics(detections, target, distortion=4)
     assert result.has_rig
     # Most pictures show both boards, each with a pose of its own.
-    assert {view.shot for view in result.views} == set(range(len(given)))
-    assert len(result.views) > len(given)
+    assert {view.shot for view in result.views} == set(range(len(detections)))
+    assert len(result.views) > len(detections)
     truth = np.asarray(lens_of(LENS_OF["left"]).parameters)
     assert squared_distance(result, truth) < 37.0
 
 
 def test_what_is_held_is_held_with_any_board():
-    given = seen_by_left(BOARD)
+    detections = detections_by_left(BOARD)
     result = calibrate_intrinsics(
-        given, BOARD, distortion=2, principal_point="centre", aspect="pitch", throw=False
+        detections, BOARD, distortion=2, principal_point="centre", aspect="pitch", throw=False
     )
     assert fitted_names(result) == ("fx_px", "fy_px", "k1", "k2")
     np.testing.assert_array_equal(lens_values(result)[2:4], [319.5, 239.5])
@@ -85,8 +87,10 @@ def test_what_is_held_is_held_with_any_board():
 
 
 def test_splines_correct_the_lens_of_any_board_and_the_next_picture_is_advised():
-    result = calibrate_intrinsics(seen_by_left(BOARD), BOARD, lens_model="splined", throw=False)
-    plain = calibrate_intrinsics(seen_by_left(BOARD), BOARD, throw=False)
+    result = calibrate_intrinsics(
+        detections_by_left(BOARD), BOARD, lens_model="splined", throw=False
+    )
+    plain = calibrate_intrinsics(detections_by_left(BOARD), BOARD, throw=False)
     advice, plain_advice = next_shot(result), next_shot(plain)
     assert advice is not None
     assert plain_advice is not None
@@ -94,12 +98,12 @@ def test_splines_correct_the_lens_of_any_board_and_the_next_picture_is_advised()
 
 
 def test_a_lens_is_saved_as_a_lens_and_one_camera_as_a_rig(tmp_path):
-    given = shots(count=8, cameras=("left",))
-    lens = calibrate_intrinsics(given["left"], BOARD, distortion=4)
+    detections = shots(count=8, cameras=("left",))
+    lens = calibrate_intrinsics(detections["left"], BOARD, distortion=4)
     save(lens, tmp_path / "camera.json")
     assert isinstance(load(tmp_path / "camera.json"), Intrinsics)
     # Also where the frame of the camera is the world's.
-    rig = calibrate_rig(given, BOARD, distortion=4, world="left")
+    rig = calibrate_rig(detections, BOARD, distortion=4, world="left")
     save(rig, tmp_path / "rig.json")
     back = load(tmp_path / "rig.json")
     assert isinstance(back, Rig)

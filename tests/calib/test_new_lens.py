@@ -1,4 +1,4 @@
-"""A lens of one file and one line of the registry reaches the fits and the files."""
+"""A lens defined by one file and one line of the registry works in the fits and the files."""
 
 from typing import ClassVar
 
@@ -20,7 +20,7 @@ from trinoc.numerics.precision import ArrayLike
 
 
 class Equidistant(AbstractLens):
-    """A fisheye: the angle from the axis, times 1 + k1 angle^2, is the distance in the picture."""
+    """Fisheye whose distance in the image is the angle from the axis times 1 + k1 angle^2."""
 
     model: ClassVar[str] = "equidistant"
     coefficient_names: ClassVar[tuple[str, ...]] = ("k1",)
@@ -66,9 +66,9 @@ def test_it_sees_beyond_ninety_degrees(lens: Intrinsics) -> None:
 def test_it_survives_a_file(lens: Intrinsics, tmp_path) -> None:
     covariance = np.diag([1.0, 2.0, 3.0, 4.0, 5.0])
     save_intrinsics(lens, tmp_path / "camera.json", covariance=covariance)
-    again = load_intrinsics(tmp_path / "camera.json")
-    assert isinstance(again.lens, Equidistant)
-    np.testing.assert_allclose(again.lens.parameters, lens.lens.parameters, rtol=1e-15)
+    loaded = load_intrinsics(tmp_path / "camera.json")
+    assert isinstance(loaded.lens, Equidistant)
+    np.testing.assert_allclose(loaded.lens.parameters, lens.lens.parameters, rtol=1e-15)
 
 
 @pytest.mark.slow
@@ -85,6 +85,6 @@ def test_its_coefficient_is_found_from_points(lens: Intrinsics) -> None:
     points, camera = random.uniform(-60, 60, (60, 3)), camera_of(TABLE_1["left"], lens)
     uv_px = np.array([camera.project(point) for point in points])
     noisy = uv_px + random.normal(0, 0.02, uv_px.shape)
-    found = calibrate_points(points, noisy, lens, free=("k1",))
-    error = found.camera.intrinsics.distortion[0] - 0.05
-    assert abs(error) < 5 * found.sigma("k1")
+    result = calibrate_points(points, noisy, lens, free=("k1",))
+    error = result.camera.intrinsics.distortion[0] - 0.05
+    assert abs(error) < 5 * result.sigma("k1")

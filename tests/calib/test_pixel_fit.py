@@ -1,4 +1,4 @@
-"""What pictures show counts as points whose errors they share; what cannot be is said."""
+"""Grey levels count as points with correlated errors, and impossible requests are named."""
 
 from typing import Literal
 
@@ -45,11 +45,11 @@ SHEET = Pattern.cross_grid(rows=5, columns=6, pitch_mm=25.0, radius_mm=7.0, line
 
 def problem(target: AbstractTarget = BOARD):
     poses = board_poses(2)
-    seen = made(count=2)
+    detections = made(count=2)
     views = [
         BoardObservation(c, s, each, np.ones(len(each), dtype=bool))
-        for c, own in enumerate(seen.values())
-        for s, each in enumerate(own)
+        for c, camera_detections in enumerate(detections.values())
+        for s, each in enumerate(camera_detections)
     ]
     return start_problem(
         views,
@@ -64,10 +64,10 @@ def problem(target: AbstractTarget = BOARD):
 
 
 def shown(view, target: AbstractTarget = BOARD):
-    """The detection's points, as a picture would show them."""
-    found = view.detection
-    whitening = np.asarray(block_diag(*whitening_of_covariance(found.covariance_px2)))
-    return SheetPoints(target.centres_mm[found.circle_index], found.centres_px, whitening)
+    """Grey-level points at the detection's points."""
+    detection = view.detection
+    whitening = np.asarray(block_diag(*whitening_of_covariance(detection.covariance_px2)))
+    return SheetPoints(target.centres_mm[detection.circle_index], detection.centres_px, whitening)
 
 
 def test_points_count_alike_whether_detected_or_shown():
@@ -87,31 +87,33 @@ def test_points_that_may_lie_anywhere_take_their_information_along():
     random = np.random.default_rng(3)
     root = random.normal(size=(8, 8))
     points = SheetPoints(np.zeros((4, 2)), np.zeros((4, 2)), root)
-    left = discount_points(points, np.array([1])).whitening
+    whitening = discount_points(points, np.array([1])).whitening
     rest = [0, 1, 4, 5, 6, 7]
     covariance = np.linalg.inv(root.T @ root)[np.ix_(rest, rest)]
-    np.testing.assert_allclose(np.linalg.inv((left.T @ left)[np.ix_(rest, rest)]), covariance)
-    assert not left[:, 2:4].any()
+    np.testing.assert_allclose(
+        np.linalg.inv((whitening.T @ whitening)[np.ix_(rest, rest)]), covariance
+    )
+    assert not whitening[:, 2:4].any()
 
 
 def test_a_circle_that_is_shown_elsewhere_is_left_out():
     here = problem(SHEET)
     views = []
     for view in here.views:
-        own = shown(view, SHEET)
-        aside = np.zeros_like(own.uv_px)
+        points = shown(view, SHEET)
+        aside = np.zeros_like(points.uv_px)
         aside[4] = 3.0
-        views.append(view._replace(grey_level_points=own._replace(uv_px=own.uv_px + aside)))
-    left = drop_wrong_circles(here._replace(views=tuple(views)))
-    assert all(np.flatnonzero(~view.rows_used).tolist() == [4] for view in left.views)
+        views.append(view._replace(grey_level_points=points._replace(uv_px=points.uv_px + aside)))
+    cleaned = drop_wrong_circles(here._replace(views=tuple(views)))
+    assert all(np.flatnonzero(~view.rows_used).tolist() == [4] for view in cleaned.views)
 
 
 def test_a_board_as_drawn_shifts_nothing_and_a_warped_one_its_middle():
     here = problem(SHEET)
     view = here.views[0]
     lens, pose = lens_of_index(here, 0), cam_from_board(here.state, view)
-    places = SHEET.centres_mm[:5]
-    np.testing.assert_allclose(apparent_shift(here, view, pose, lens)(places), 0.0, atol=1e-9)
+    points_mm = SHEET.centres_mm[:5]
+    np.testing.assert_allclose(apparent_shift(here, view, pose, lens)(points_mm), 0.0, atol=1e-9)
     warped = eqx.tree_at(lambda state: state.sheet, here.state, np.array([0.0, 0.0, 1.0, 0.0]))
     shift = apparent_shift(here._replace(state=warped), view, pose, lens)
     edge = np.array([[0.0, 0.0], [62.5, 10.0], [-62.5, 0.0]])
@@ -119,8 +121,8 @@ def test_a_board_as_drawn_shifts_nothing_and_a_warped_one_its_middle():
     # At the edge the board does not rise; a parabola of 1 mm is shorter there by 2 / (3 * 62.5) mm.
     nearer = edge[1:] * [1 - 2 / 3 / 62.5**2, 1.0]
     drawn, bent = (
-        np.array([project_point(pose, lens, np.append(xy, 0.0)) for xy in places])
-        for places in (edge[1:], nearer)
+        np.array([project_point(pose, lens, np.append(xy, 0.0)) for xy in points_mm])
+        for points_mm in (edge[1:], nearer)
     )
     np.testing.assert_allclose(shift(edge)[1:], bent - drawn, atol=1e-6)
     assert np.linalg.norm(bent - drawn, axis=1).max() > 0.005
@@ -130,7 +132,7 @@ def test_a_board_as_drawn_shifts_nothing_and_a_warped_one_its_middle():
 def test_how_tags_are_turned_is_read_off_a_picture(quarters):
     board = AprilGrid(rows=2, columns=3, tag_mm=40.0)
     here = problem(board)
-    seen = here._replace(views=here.views[:1])
+    one_view = here._replace(views=here.views[:1])
     sheet = square_sheet(board, quarters=quarters)
     picture = render_sheet(
         Pattern.circle_grid(rows=1, columns=1, pitch_mm=1, radius_mm=0.1),
@@ -138,19 +140,19 @@ def test_how_tags_are_turned_is_read_off_a_picture(quarters):
         covers=(Paint(Cells(sheet.x_mm, sheet.y_mm, sheet.ink), 25.0),),
         supersampling=2,
     )
-    assert quarters_of_tags(seen, board, lambda _: picture) == quarters
+    assert quarters_of_tags(one_view, board, lambda _: picture) == quarters
 
 
 @pytest.mark.parametrize(
-    ("method", "target", "says"),
+    ("method", "target", "message"),
     [
         ("grey", BOARD, 'must be "points" or "pixels"'),
         ("pixels", BOARD, "is a detection without grey levels"),
         ("pixels", BoardSet([BOARD, SHEET]), "contains several boards"),
     ],
 )
-def test_what_cannot_be_fitted_to_pixels_is_said(method, target, says):
-    with pytest.raises(InputError, match=says):
+def test_what_cannot_be_fitted_to_pixels_is_said(method, target, message):
+    with pytest.raises(InputError, match=message):
         expect_method(method, target, made(count=1))
 
 
@@ -173,8 +175,8 @@ def test_pixels_tell_more_than_circles_and_what_they_claim_is_true():
             for name in ("left", "middle")
         }  # fmt: skip
         sigmas = {}
-        for method, own in errors.items():
-            found = calibrate_rig(
+        for method, method_errors in errors.items():
+            result = calibrate_rig(
                 pictures, sheet, systematics=Systematics(), distortion=4, method=method
             )
             keys = [
@@ -182,17 +184,21 @@ def test_pixels_tell_more_than_circles_and_what_they_claim_is_true():
                 for name in pictures
                 for each, value in zip(lens_of(name).parameter_names[:8], LENSES[name])
             ]
-            sigmas[method] = np.array([found.sigma(key) for key, _ in keys])
-            own.append([(found.value(key) - value) / found.sigma(key) for key, value in keys])
-            assert found.halves is not None
-            assert 0.5 < found.halves.ratio < 1.6
+            sigmas[method] = np.array([result.sigma(key) for key, _ in keys])
+            method_errors.append(
+                [(result.value(key) - value) / result.sigma(key) for key, value in keys]
+            )
+            assert result.halves is not None
+            assert 0.5 < result.halves.ratio < 1.6
         assert np.all(sigmas["pixels"] < sigmas["points"])
-    for own in errors.values():
-        assert 0.6 < np.sqrt(np.mean(np.square(own))) < 1.5
+    for method_errors in errors.values():
+        assert 0.6 < np.sqrt(np.mean(np.square(method_errors))) < 1.5
 
 
 def _camera(name, pose):
-    own = cam_from_rig(name)
-    both = np.column_stack([own[:, :3] @ pose[:, :3], own[:, :3] @ pose[:, 3] + own[:, 3]])
+    camera_pose = cam_from_rig(name)
+    both = np.column_stack(
+        [camera_pose[:, :3] @ pose[:, :3], camera_pose[:, :3] @ pose[:, 3] + camera_pose[:, 3]]
+    )
     with jax.enable_x64(True):
         return Camera(Intrinsics.of_lens(lens_of(name), SIZE_PX), Pose(both))

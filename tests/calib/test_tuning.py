@@ -1,4 +1,4 @@
-"""The constants of calibration are arguments: another value changes the answer."""
+"""The constants of calibration are arguments, and another value changes the result."""
 
 import dataclasses
 
@@ -15,7 +15,7 @@ from trinoc.calib.tuning.every_group import TUNING, CalibTuning
 
 
 def with_gate(gate: float) -> CalibTuning:
-    """The default, but for the gate beyond which a corner or circle was located wrongly."""
+    """The default tuning with another gate for wrong corners and circles."""
     return dataclasses.replace(TUNING, problem=dataclasses.replace(TUNING.problem, gate=gate))
 
 
@@ -24,19 +24,19 @@ def left_out(result: CalibrationResult) -> int:
 
 
 def test_a_tighter_gate_leaves_out_more_corners_of_a_rig() -> None:
-    given = shots(count=6)
-    default, same = (calibrate_rig(given, BOARD, throw=False) for _ in range(2))
-    strict = calibrate_rig(given, BOARD, throw=False, tuning=with_gate(2.0))
-    again = calibrate_rig(given, BOARD, throw=False, tuning=CalibTuning())
+    detections = shots(count=6)
+    default, same = (calibrate_rig(detections, BOARD, throw=False) for _ in range(2))
+    strict = calibrate_rig(detections, BOARD, throw=False, tuning=with_gate(2.0))
+    explicit_default = calibrate_rig(detections, BOARD, throw=False, tuning=CalibTuning())
     assert left_out(strict) > left_out(default) == 0
-    np.testing.assert_array_equal(default.values, again.values)
+    np.testing.assert_array_equal(default.values, explicit_default.values)
     np.testing.assert_array_equal(default.values, same.values)
 
 
 def test_a_tighter_gate_leaves_out_more_corners_of_a_lens() -> None:
-    given = shots(count=8, cameras=("left",))["left"]
+    detections = shots(count=8, cameras=("left",))["left"]
     results = [
-        calibrate_intrinsics(given, BOARD, throw=False, tuning=with_gate(gate))
+        calibrate_intrinsics(detections, BOARD, throw=False, tuning=with_gate(gate))
         for gate in (6.0, 2.0)
     ]
     assert left_out(results[1]) > left_out(results[0]) == 0
@@ -44,10 +44,10 @@ def test_a_tighter_gate_leaves_out_more_corners_of_a_lens() -> None:
 
 def test_a_tighter_gate_leaves_out_more_circles_of_a_sheet() -> None:
     sheet = reference_sheet()
-    seen = {"left": simulated_detection(camera_of(TABLE_1["left"]), sheet, seed=1)}
+    detections = {"left": simulated_detection(camera_of(TABLE_1["left"]), sheet, seed=1)}
     lens = camera_of(TABLE_1["left"]).intrinsics
     default, strict = (
-        calibrate_detections(seen, sheet, lens, systematics=EXACT, tuning=with_gate(gate))
+        calibrate_detections(detections, sheet, lens, systematics=EXACT, tuning=with_gate(gate))
         for gate in (6.0, 1.5)
     )
     assert left_out(strict) > left_out(default) == 0

@@ -1,4 +1,4 @@
-"""A board with its mirror image on the back connects cameras that never see one face together."""
+"""A board with its mirror image on the back connects cameras that face each other."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What pictures cannot determine is named, refused, and mended by the picture advised."""
+"""Undetermined parameters are named and refused, and the advised image determines them."""
 
 import dataclasses
 import re
@@ -58,9 +58,9 @@ def test_rounding_below_no_information_is_none():
     assert result.solved_problem is not None
     ended, information = result.solved_problem, compute_information(result.solved_problem.problem)
 
-    def advise(least: float) -> str:
+    def advise(smallest_eigenvalue: float) -> str:
         covariance = covariance_with_weak_prior(
-            information._replace(shot_information=with_least(least))
+            information._replace(shot_information=with_smallest_eigenvalue(smallest_eigenvalue))
         )
         advice = next_shot(
             dataclasses.replace(result, solved_problem=ended._replace(covariance=covariance))
@@ -68,14 +68,14 @@ def test_rounding_below_no_information_is_none():
         assert advice is not None
         return advice.sentence
 
-    def with_least(least: float) -> np.ndarray:
-        whole, free = information.shot_information.sum(axis=0), information.free
-        prior = np.zeros_like(whole)
+    def with_smallest_eigenvalue(smallest_eigenvalue: float) -> np.ndarray:
+        total, free = information.shot_information.sum(axis=0), information.free
+        prior = np.zeros_like(total)
         prior[np.ix_(free, free)] = information.prior
-        eigenvalues, directions = np.linalg.eigh((whole + prior)[np.ix_(free, free)])
-        changed = (directions * [least, *eigenvalues[1:]]) @ directions.T
-        whole[np.ix_(free, free)] = changed - information.prior
-        return whole[None]
+        eigenvalues, directions = np.linalg.eigh((total + prior)[np.ix_(free, free)])
+        changed = (directions * [smallest_eigenvalue, *eigenvalues[1:]]) @ directions.T
+        total[np.ix_(free, free)] = changed - information.prior
+        return total[None]
 
     assert advise(0.0) == advise(-1.0)
 
@@ -90,8 +90,8 @@ def test_one_picture_does_not_pass_for_a_lens():
 
 def test_a_held_principal_point_lets_one_picture_do():
     straight = np.append(LENS[:2], [255.5, 239.5, 0, 0, 0, 0, 0])
-    found = [detection(good_poses()[2], values=straight)]
-    result = calibrate_intrinsics(found, SHEET, distortion=0, principal_point="centre")
+    image_detections = [detection(good_poses()[2], values=straight)]
+    result = calibrate_intrinsics(image_detections, SHEET, distortion=0, principal_point="centre")
     assert fitted_names(result) == ("fx_px", "fy_px")
     assert (np.abs(lens_values(result) - straight)[:2] < 4 * lens_sigmas(result)[:2]).all()
 
@@ -126,10 +126,10 @@ def test_circles_near_the_middle_leave_the_corners_to_extrapolation():
 
 
 def candidates():
-    """Ways to hold the sheet before a camera of THE_LENS."""
-    seen = detection(good_poses()[0])
+    """Candidate poses of the sheet in front of a camera of THE_LENS."""
+    sheet_detection = detection(good_poses()[0])
     lens_alone = start_problem(
-        [BoardObservation(0, 0, seen, np.ones(len(seen), dtype=bool))],
+        [BoardObservation(0, 0, sheet_detection, np.ones(len(sheet_detection), dtype=bool))],
         SHEET,
         [THE_LENS],
         np.eye(3, 4)[None],
@@ -152,27 +152,29 @@ def test_every_candidate_shows_the_sheet_from_its_printed_side():
 def test_the_words_of_a_candidate_are_those_of_its_pose():
     poses = {candidate.instruction: candidate.rig_from_board for candidate in candidates()}
     for side, axis, sign in (("left", 0, -1), ("right", 0, 1), ("upper", 1, -1), ("lower", 1, 1)):
-        words = next(w for w in poses if f"its {side} side" in w and "in the middle" in w)
-        points = poses[words].transform_points(np.pad(SHEET.centres_mm, ((0, 0), (0, 1))))
+        instruction = next(
+            text for text in poses if f"its {side} side" in text and "in the middle" in text
+        )
+        points = poses[instruction].transform_points(np.pad(SHEET.centres_mm, ((0, 0), (0, 1))))
         uv = np.array([THE_LENS.project_ray(p) for p in points])
         aside = sign * (uv[:, axis] - uv[:, axis].mean())
         assert np.corrcoef(aside, points[:, 2])[0, 1] < -0.9
 
 
 def test_inputs_that_cannot_be_right_are_refused():
-    found = detections(good_poses())
+    image_detections = detections(good_poses())
     with pytest.raises(InputError, match="No image"):
         calibrate_intrinsics([], SHEET)
     with pytest.raises(InputError, match="are the same"):
-        calibrate_intrinsics([*found, found[3]], SHEET)
+        calibrate_intrinsics([*image_detections, image_detections[3]], SHEET)
     with pytest.raises(InputError, match="640 x 480"):
-        calibrate_intrinsics(found, SHEET, image_size_px=(640, 480))
+        calibrate_intrinsics(image_detections, SHEET, image_size_px=(640, 480))
     with pytest.raises(InputError, match="distortion"):
-        calibrate_intrinsics(found, SHEET, distortion=3)
+        calibrate_intrinsics(image_detections, SHEET, distortion=3)
     with pytest.raises(InputError, match="principal_point"):
-        calibrate_intrinsics(found, SHEET, principal_point="fixed")
+        calibrate_intrinsics(image_detections, SHEET, principal_point="fixed")
     with pytest.raises(InputError, match="aspect"):
-        calibrate_intrinsics(found, SHEET, aspect="square")
+        calibrate_intrinsics(image_detections, SHEET, aspect="square")
 
 
 def test_pictures_of_another_camera_are_refused():
@@ -184,9 +186,9 @@ def test_pictures_of_another_camera_are_refused():
 
 
 def test_a_picture_with_too_few_circles_is_named_and_left_out():
-    found = detections(good_poses())
-    few = found[0]
-    found[0] = Detection(
+    image_detections = detections(good_poses())
+    few = image_detections[0]
+    image_detections[0] = Detection(
         circle_index=few.circle_index[:3],
         centres_px=few.centres_px[:3],
         covariance_px2=few.covariance_px2[:3],
@@ -194,7 +196,7 @@ def test_a_picture_with_too_few_circles_is_named_and_left_out():
         lines_px=few.lines_px,
         image_size_px=few.image_size_px,
     )
-    result = calibrate_intrinsics(found, SHEET)
+    result = calibrate_intrinsics(image_detections, SHEET)
     assert list(result.failures) == ["camera, picture 1"]
     assert result.shots == tuple(f"picture {k}" for k in range(2, 9))
     assert "picture 1: only 3 circles" in result.summary()

@@ -1,4 +1,4 @@
-"""Mistakes that people make with shots, and the sentence that each gives."""
+"""Messages for common mistakes with shots."""
 
 import re
 from typing import Any
@@ -39,9 +39,9 @@ def altered(detection: Detection, **fields: Any) -> Detection:
 
 
 def test_pictures_exchanged_in_some_shots_are_named():
-    seen = shots()
-    seen["left"][4], seen["right"][4] = seen["right"][4], seen["left"][4]
-    refused = calibrate_rig(seen, BOARD, lens=KNOWN, systematics=EXACT).refused
+    detections = shots()
+    detections["left"][4], detections["right"][4] = detections["right"][4], detections["left"][4]
+    refused = calibrate_rig(detections, BOARD, lens=KNOWN, systematics=EXACT).refused
     assert any(
         each.startswith('shot 5: the images of "left" and "right" seem to be exchanged')
         for each in refused
@@ -52,52 +52,54 @@ def test_pictures_exchanged_in_some_shots_are_named():
 def test_an_exchange_is_found_in_its_own_shot_alone():
     poses = {k: Pose(cam_from_rig(name)) for k, name in enumerate(LENSES)}
 
-    def seen_by(order: tuple[str, ...], shot: int):
+    def sightings(order: tuple[str, ...], shot: int):
         lenses = [lens_of(name) for name in LENSES]
-        found = [shots(cameras=(name,))[name][shot] for name in order]
-        starts = [start_poses(*each, BOARD) for each in zip(lenses, [[f] for f in found])]
+        detections = [shots(cameras=(name,))[name][shot] for name in order]
+        starts = [start_poses(*each, BOARD) for each in zip(lenses, [[f] for f in detections])]
         return [
             label_sighting(k, shot, start.lens, each, start.cam_from_board[0], BOARD)
-            for k, (start, each) in enumerate(zip(starts, found, strict=True))
+            for k, (start, each) in enumerate(zip(starts, detections, strict=True))
         ]
 
-    assert find_exchanged_pair(seen_by(("middle", "left", "right"), 2), poses, BOARD, TUNING) == (
+    assert find_exchanged_pair(sightings(("middle", "left", "right"), 2), poses, BOARD, TUNING) == (
         0,
         1,
     )
     assert (
-        find_exchanged_pair(seen_by(("middle", "right", "left"), 2), poses, BOARD, TUNING) is None
+        find_exchanged_pair(sightings(("middle", "right", "left"), 2), poses, BOARD, TUNING) is None
     )
 
 
 def test_folders_exchanged_as_a_whole_are_known_by_lenses_of_other_pictures_alone():
-    seen = shots(count=2)
-    known = dict(KNOWN) | {"left": Intrinsics.of_lens(lens_of("left"), (800, 600))}
+    detections = shots(count=2)
+    lenses = dict(KNOWN) | {"left": Intrinsics.of_lens(lens_of("left"), (800, 600))}
     with pytest.raises(InputError, match=r'of "left" is for images of 800 x 600 px, but .* 640'):
-        calibrate_rig(seen, BOARD, lens=known)
+        calibrate_rig(detections, BOARD, lens=lenses)
 
 
 def test_a_mirrored_layout_is_told():
-    seen = {
-        camera: [altered(each, circle_index=MIRRORED[each.circle_index]) for each in own]
-        for camera, own in shots().items()
+    detections = {
+        camera: [
+            altered(each, circle_index=MIRRORED[each.circle_index]) for each in camera_detections
+        ]
+        for camera, camera_detections in shots().items()
     }
-    notes = calibrate_rig(seen, BOARD, lens=KNOWN, systematics=EXACT).notes
+    notes = calibrate_rig(detections, BOARD, lens=KNOWN, systematics=EXACT).notes
     assert any("show the board from behind" in note for note in notes)
 
 
 def test_one_camera_whose_pictures_are_mirrored_is_told():
-    seen = shots()
-    seen["right"] = [
+    detections = shots()
+    detections["right"] = [
         altered(
             each,
             circle_index=MIRRORED[each.circle_index],
             centres_px=[SIZE_PX[0] - 1, 0] + [-1, 1] * np.asarray(each.centres_px),
         )
-        for each in seen["right"]
+        for each in detections["right"]
     ]
     with pytest.raises(CalibrationError, match=r"\(the groups are left, middle; right\).* mirror"):
-        calibrate_rig(seen, BOARD)
+        calibrate_rig(detections, BOARD)
 
 
 def test_boards_that_are_parallel_in_all_shots_are_told():
@@ -107,17 +109,17 @@ def test_boards_that_are_parallel_in_all_shots_are_told():
 
 
 def test_another_board_that_looks_alike_is_refused_by_its_shot():
-    seen, other = shots(), shots(seed=9)
-    seen["right"][1] = other["right"][2]
-    (sentence,) = calibrate_rig(seen, BOARD, lens=KNOWN, systematics=EXACT).refused
+    detections, other = shots(), shots(seed=9)
+    detections["right"][1] = other["right"][2]
+    (sentence,) = calibrate_rig(detections, BOARD, lens=KNOWN, systematics=EXACT).refused
     assert sentence.startswith('shot 2: "right" shows the board')
     assert "another board that looks the same" in sentence
 
 
 def test_a_wrong_size_of_the_squares_shows_in_no_residual_and_the_summary_says_so():
-    seen = shots()
+    detections = shots()
     right, wrong = (
-        calibrate_rig(seen, Chessboard(rows=5, columns=6, square_mm=mm), lens=KNOWN)
+        calibrate_rig(detections, Chessboard(rows=5, columns=6, square_mm=mm), lens=KNOWN)
         for mm in (25.0, 26.0)
     )
     assert wrong.rms_px() == pytest.approx(right.rms_px(), rel=1e-6)
@@ -129,7 +131,7 @@ def test_a_wrong_size_of_the_squares_shows_in_no_residual_and_the_summary_says_s
 
 
 def with_left(skew_px: float = 0.0, **off: float) -> dict[str, Intrinsics]:
-    """The lenses as they are, but for that of "left", which is said to be off by so much."""
+    """True lenses of all cameras, with that of "left" changed by these amounts."""
     lens = lens_of("left")
     names = lens.parameter_names
     values = np.array(lens.parameters) + [off.get(name, 0.0) for name in names]
@@ -152,62 +154,64 @@ def with_left(skew_px: float = 0.0, **off: float) -> dict[str, Intrinsics]:
     ],
 )
 def test_a_lens_that_was_given_and_shots_refute_is_named(wrong, named, amount):
-    found = calibrate_rig(shots(), BOARD, lens=with_left(**wrong), systematics=EXACT)
-    assert found.overall_status is Status.SUSPECT
-    assert found.has_rig
-    assert 'given lens of "left"' in found.notes[0]
-    said = rf"largest estimated corrections are {named} by (\S+) \+- (\S+?)(?:, |\. )"
-    match = re.search(said, found.notes[0])
+    result = calibrate_rig(shots(), BOARD, lens=with_left(**wrong), systematics=EXACT)
+    assert result.overall_status is Status.SUSPECT
+    assert result.has_rig
+    assert 'given lens of "left"' in result.notes[0]
+    pattern = rf"largest estimated corrections are {named} by (\S+) \+- (\S+?)(?:, |\. )"
+    match = re.search(pattern, result.notes[0])
     assert match is not None
     assert float(match[1]) == pytest.approx(amount, abs=4 * float(match[2]))
-    assert found.summary().startswith("SUSPECT: The shots contradict the given lens")
+    assert result.summary().startswith("SUSPECT: The shots contradict the given lens")
 
 
 def test_a_lens_of_all_cameras_is_refuted_as_one(monkeypatch):
     monkeypatch.setitem(LENSES, "right", LENSES["left"])
-    seen, wrong = shots(cameras=("left", "right")), with_left(k1=0.1)["left"]
-    found = calibrate_rig(seen, BOARD, lens=wrong, same_lens=True, systematics=EXACT)
-    assert found.overall_status is Status.SUSPECT
+    detections, wrong = shots(cameras=("left", "right")), with_left(k1=0.1)["left"]
+    result = calibrate_rig(detections, BOARD, lens=wrong, same_lens=True, systematics=EXACT)
+    assert result.overall_status is Status.SUSPECT
     assert (
-        'given lens of "left", "right". The largest estimated corrections are k1' in found.notes[0]
+        'given lens of "left", "right". The largest estimated corrections are k1' in result.notes[0]
     )
 
 
 def test_a_lens_that_is_another_cameras_is_refuted():
-    """It is off in all, so that the shots do not agree with any one cause."""
-    known = KNOWN | {"left": KNOWN["right"]}
-    found = calibrate_rig(shots(), BOARD, lens=known, systematics=EXACT)
-    assert found.overall_status is Status.SUSPECT
-    assert 'given lens of "left"' in found.notes[0]
+    """All parameters are wrong, so that the shots do not agree on one cause."""
+    lenses = KNOWN | {"left": KNOWN["right"]}
+    result = calibrate_rig(shots(), BOARD, lens=lenses, systematics=EXACT)
+    assert result.overall_status is Status.SUSPECT
+    assert 'given lens of "left"' in result.notes[0]
 
 
 @pytest.mark.parametrize(
     "seed", [1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 9))]
 )
 def test_lenses_that_are_as_given_are_hardly_ever_accused(seed):
-    """By chance once in 10,000, also where shots disagree, as the board moves between cameras."""
-    seen = shots(seed=seed, count=4, cameras=("left", "right"))
+    """Right lenses are refuted once in 10,000, even if the board moves between the cameras."""
+    detections = shots(seed=seed, count=4, cameras=("left", "right"))
     later = np.random.default_rng(seed).normal(0, 0.6, (4, 1, 2))
-    pairs = zip(seen["right"], later, strict=True)
+    pairs = zip(detections["right"], later, strict=True)
     moved = [altered(each, centres_px=each.centres_px + by) for each, by in pairs]
-    lens = {name: KNOWN[name] for name in seen}
-    for each in (seen, seen | {"right": moved}):
-        found = calibrate_rig(each, BOARD, lens=lens, systematics=EXACT)
-        assert found.overall_status is Status.CONVERGED
+    lens = {name: KNOWN[name] for name in detections}
+    for each in (detections, detections | {"right": moved}):
+        result = calibrate_rig(each, BOARD, lens=lens, systematics=EXACT)
+        assert result.overall_status is Status.CONVERGED
 
 
 def test_an_error_of_a_lens_that_goes_unseen_moves_a_camera_as_is_said():
-    """Of a lens that is off by as much the rig is as many sigmas away, in the same shots."""
+    """A lens error of the stated size moves the rig by the stated number of sigmas."""
 
-    def fitted(known: dict[str, Intrinsics]) -> CalibrationResult:
-        two = {name: known[name] for name in ("left", "right")}
-        seen = shots(cameras=("left", "right"))
-        return calibrate_rig(seen, BOARD, lens=two, systematics=EXACT, world="left", throw=False)
+    def fitted(lenses: dict[str, Intrinsics]) -> CalibrationResult:
+        two = {name: lenses[name] for name in ("left", "right")}
+        detections = shots(cameras=("left", "right"))
+        return calibrate_rig(
+            detections, BOARD, lens=two, systematics=EXACT, world="left", throw=False
+        )
 
     right = fitted(KNOWN)
     (note,) = right.notes
-    said = r'"(\w+)" is assumed.* cx_px by (\S+) and cy_px by (\S+)\. This .* by (\d+) of its'
-    match = re.search(said, note)
+    pattern = r'"(\w+)" is assumed.* cx_px by (\S+) and cy_px by (\S+)\. This .* by (\d+) of its'
+    match = re.search(pattern, note)
     assert match is not None
     wrong = np.array(LENSES[match[1]])
     wrong[2:4] += float(match[2]), float(match[3])

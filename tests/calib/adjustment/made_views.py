@@ -1,4 +1,4 @@
-"""Views of a sheet that lies, was printed and is seen through a lens as chance has it."""
+"""Simulated views of a sheet with random pose, print, bend and lens."""
 
 from typing import NamedTuple
 
@@ -25,7 +25,7 @@ TYPICAL = Systematics.typical({})
 
 
 class MadeViews(NamedTuple):
-    """What the adjustment is given, and the truth."""
+    """Cameras for the adjustment, and their true poses."""
 
     cameras: list[SheetCamera]
     poses: list[Pose]
@@ -33,25 +33,27 @@ class MadeViews(NamedTuple):
 
 def made_views(
     seed: int,
-    known: Systematics = TYPICAL,
+    systematics: Systematics = TYPICAL,
     *,
     lens_factor: np.ndarray | None = None,
     cameras: tuple[str, ...] = tuple(TABLE_1),
     sigma_px: float = SIGMA_PX,
 ) -> MadeViews:
-    """Everything that `known` leaves open drawn from its prior, and noise on every circle."""
+    """Simulated views: values that `systematics` leaves uncertain, and noise, are drawn."""
     random = np.random.default_rng([4, seed])
-    sigma = BentPaper.sigmas(known.print_size_sigma, known.print_scale_sigma, known.flatness_mm)
+    sigma = BentPaper.sigmas(
+        systematics.print_size_sigma, systematics.print_scale_sigma, systematics.flatness_mm
+    )
     shape = sigma * random.normal(size=len(sigma))
     made, poses = [], []
     for name in cameras:
         values = np.radians(TABLE_1[name][:3])
-        aim = min(known.aim_sigma_mm, 2.0) * random.normal(size=2)
+        aim = min(systematics.aim_sigma_mm, 2.0) * random.normal(size=2)
         pose = Pose.from_parameters(jnp.array([*values, TABLE_1[name][3], *aim]))
         change = np.zeros(5)
         if lens_factor is not None:
             change = lens_factor @ random.normal(size=5)
-        uv = seen_px(pose, change, shape) + sigma_px * random.normal(size=(len(SHEET), 2))
+        uv = circles_px(pose, change, shape) + sigma_px * random.normal(size=(len(SHEET), 2))
         # From where a circle fit would start.
         start = Pose.from_parameters(jnp.array([*(values + 0.002), TABLE_1[name][3] + 1, 0, 0]))
         made.append(SheetCamera(name, detection(uv, sigma_px), LENS, lens_factor, start))
@@ -60,20 +62,20 @@ def made_views(
 
 
 def detection(uv_px: np.ndarray, sigma_px: float) -> Detection:
-    """All circles of the sheet at these pixels."""
-    each = np.broadcast_to(np.eye(2), (len(SHEET), 2, 2))
+    """Detection of all circles of the sheet at these pixels."""
+    identities = np.broadcast_to(np.eye(2), (len(SHEET), 2, 2))
     return Detection(
         circle_index=np.arange(len(SHEET)),
         centres_px=uv_px,
-        covariance_px2=sigma_px**2 * each,
-        shape_px2=100.0 * each,
+        covariance_px2=sigma_px**2 * identities,
+        shape_px2=100.0 * identities,
         lines_px=np.full((2, 3), np.nan),
         image_size_px=LENS.image_size_px,
     )
 
 
-def seen_px(pose: Pose, change: np.ndarray, shape: np.ndarray) -> np.ndarray:
-    """Where one camera sees the circles of a sheet of that shape, through a lens so changed."""
+def circles_px(pose: Pose, change: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Pixels of the circles of a sheet of this shape, for one camera whose lens has this change."""
     nothing = detection(np.zeros((len(SHEET), 2)), 1.0)
     one = SheetCamera("one", nothing, LENS, None, pose)
     problem = sheet_problem([one], SHEET, SheetPriors(PoseModel.AIM_FREE, Systematics()))

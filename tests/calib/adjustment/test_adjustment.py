@@ -1,4 +1,4 @@
-"""Cameras over one sheet adjusted together: derivatives, coverage, symmetries."""
+"""Laws of the joint adjustment of cameras over one sheet: derivatives, coverage, symmetries."""
 
 import dataclasses
 
@@ -20,23 +20,25 @@ from trinoc.geometry.rotation import vector_from_rotation
 from trinoc.numerics.precision import as_numpy
 
 
-def adjusted(cameras, known: Systematics = TYPICAL) -> Adjustment:
-    return adjust(cameras, SHEET, SheetPriors(PoseModel.AIMED, known))
+def adjusted(cameras, systematics: Systematics = TYPICAL) -> Adjustment:
+    return adjust(cameras, SHEET, SheetPriors(PoseModel.AIMED, systematics))
 
 
-def off(found: Adjustment, truth: Pose, view: int) -> np.ndarray:
-    """The step of AIM_FREE from what was found to the truth."""
-    here = found.pose(view)
-    turn = vector_from_rotation(truth.rotation @ np.asarray(here.rotation).T)
-    away = np.append(truth.distance_mm - here.distance_mm, truth.aim_mm - here.aim_mm)
-    return np.append(turn, away / found.problem.parametrization.unit_mm)
+def off(adjustment: Adjustment, truth: Pose, view: int) -> np.ndarray:
+    """Step of AIM_FREE from the adjusted pose to the true one."""
+    adjusted_pose = adjustment.pose(view)
+    turn = vector_from_rotation(truth.rotation @ np.asarray(adjusted_pose.rotation).T)
+    away = np.append(
+        truth.distance_mm - adjusted_pose.distance_mm, truth.aim_mm - adjusted_pose.aim_mm
+    )
+    return np.append(turn, away / adjustment.problem.parametrization.unit_mm)
 
 
-def pose_covariance(found: Adjustment, view: int) -> np.ndarray:
-    """Of a camera's step in rad and mm."""
-    rows, unit_mm = found.rows(view), float(found.problem.parametrization.unit_mm)
+def pose_covariance(adjustment: Adjustment, view: int) -> np.ndarray:
+    """Covariance of a camera's step, in rad and mm."""
+    rows, unit_mm = adjustment.rows(view), float(adjustment.problem.parametrization.unit_mm)
     units = np.diag([1.0] * 3 + [unit_mm] * 3)
-    return units @ found.covariance[np.ix_(rows, rows)] @ units
+    return units @ adjustment.covariance[np.ix_(rows, rows)] @ units
 
 
 @pytest.mark.parametrize(
@@ -47,15 +49,15 @@ def pose_covariance(found: Adjustment, view: int) -> np.ndarray:
     ],
 )
 def test_errors_are_as_large_as_the_joint_covariance_says(lens_factor) -> None:
-    """Sheet, print, aims, lenses and noise drawn 24 times: all 18 numbers together."""
+    """The 18 pose errors of 24 draws of sheet, print, aims, lenses and noise are chi-square."""
     squared = []
     for seed in range(24):
         made = made_views(seed, lens_factor=lens_factor)
-        found = adjusted(made.cameras)
-        assert found.converged
-        error = np.concatenate([off(found, truth, k) for k, truth in enumerate(made.poses)])
-        rows = np.concatenate([found.rows(k) for k in range(3)])
-        covariance = found.covariance[np.ix_(rows, rows)]
+        adjustment = adjusted(made.cameras)
+        assert adjustment.converged
+        error = np.concatenate([off(adjustment, truth, k) for k, truth in enumerate(made.poses)])
+        rows = np.concatenate([adjustment.rows(k) for k in range(3)])
+        covariance = adjustment.covariance[np.ix_(rows, rows)]
         squared.append(error @ np.linalg.solve(covariance, error))
     total = float(np.sum(squared))
     assert chi2.ppf(1e-4, 18 * 24) < total < chi2.ppf(1 - 1e-4, 18 * 24)
@@ -63,29 +65,33 @@ def test_errors_are_as_large_as_the_joint_covariance_says(lens_factor) -> None:
 
 @pytest.mark.parametrize("sigma_px", [1e-2, 1e-6], ids=["circles", "far finer than the priors"])
 def test_one_camera_is_known_by_the_rest_of_the_root(sigma_px) -> None:
-    """However much finer the picture is than the priors on sheet and lens."""
-    found = adjusted(made_views(4, lens_factor=LENS_FACTOR, sigma_px=sigma_px).cameras)
-    assert found.converged
-    scale = np.sqrt(np.diag(found.covariance))
-    assert np.linalg.eigvalsh(found.covariance / np.outer(scale, scale)).min() > -1e-15
-    root, own = found.pose_root(1), pose_covariance(found, 1)
-    units = np.diag([1.0] * 3 + [1 / float(found.problem.parametrization.unit_mm)] * 3)
-    np.testing.assert_allclose(root @ units @ own @ units @ root.T, np.eye(6), atol=1e-5)
+    """The root is exact even if the image is far more accurate than the priors."""
+    adjustment = adjusted(made_views(4, lens_factor=LENS_FACTOR, sigma_px=sigma_px).cameras)
+    assert adjustment.converged
+    scale = np.sqrt(np.diag(adjustment.covariance))
+    assert np.linalg.eigvalsh(adjustment.covariance / np.outer(scale, scale)).min() > -1e-15
+    root, camera_covariance = adjustment.pose_root(1), pose_covariance(adjustment, 1)
+    units = np.diag([1.0] * 3 + [1 / float(adjustment.problem.parametrization.unit_mm)] * 3)
+    np.testing.assert_allclose(
+        root @ units @ camera_covariance @ units @ root.T, np.eye(6), atol=1e-5
+    )
     np.testing.assert_array_less(0, np.linalg.svd(root, compute_uv=False))
 
 
 def test_the_root_is_that_of_the_pixels_and_of_all_that_was_known() -> None:
     # A lens from a data sheet leaves directions to the aim's prior, though it is wide.
-    found = adjusted(made_views(0, lens_factor=10 * LENS_FACTOR).cameras)
-    rows = np.concatenate(list(found.whitened.jacobian[..., found.free]))
-    state, parametrization = found.problem.state, found.problem.parametrization
-    known = np.asarray(jax.jit(evaluate_prior)(state, parametrization).information)[
-        np.ix_(found.free, found.free)
+    adjustment = adjusted(made_views(0, lens_factor=10 * LENS_FACTOR).cameras)
+    rows = np.concatenate(list(adjustment.whitened.jacobian[..., adjustment.free]))
+    state, parametrization = adjustment.problem.state, adjustment.problem.parametrization
+    prior_information = np.asarray(jax.jit(evaluate_prior)(state, parametrization).information)[
+        np.ix_(adjustment.free, adjustment.free)
     ]
-    expected = rows.T @ rows + known
+    expected = rows.T @ rows + prior_information
     scale = np.sqrt(np.diag(expected))
     inverse = np.linalg.inv(expected / np.outer(scale, scale)) / np.outer(scale, scale)
-    np.testing.assert_allclose(found.root @ inverse @ found.root.T, np.eye(len(rows.T)), atol=1e-4)
+    np.testing.assert_allclose(
+        adjustment.root @ inverse @ adjustment.root.T, np.eye(len(rows.T)), atol=1e-4
+    )
 
 
 def test_residuals_scatter_as_the_noise_does() -> None:
@@ -97,7 +103,7 @@ def test_residuals_scatter_as_the_noise_does() -> None:
 
 
 def test_derivatives_are_those_of_differences() -> None:
-    """Of every step of poses, lenses and sheet, those that are held too."""
+    """Derivatives equal differences for every step of poses, lenses and sheet, fixed ones too."""
     problem = adjusted(made_views(3, lens_factor=LENS_FACTOR).cameras).problem
     # By how much a circle's image lies aside of its centre's is taken where a step begins.
     parametrization = dataclasses.replace(problem.parametrization, has_circles=False)
@@ -155,35 +161,35 @@ def test_a_circle_that_is_elsewhere_is_left_out() -> None:
     wrong = dataclasses.replace(
         made.cameras[0], detection=dataclasses.replace(detection, centres_px=centres)
     )
-    found = adjusted([wrong, *made.cameras[1:]])
-    assert np.flatnonzero(~found.used[0]).tolist() == [11]
-    assert found.used[1].all()
-    assert found.used[2].all()
+    adjustment = adjusted([wrong, *made.cameras[1:]])
+    assert np.flatnonzero(~adjustment.used[0]).tolist() == [11]
+    assert adjustment.used[1].all()
+    assert adjustment.used[2].all()
 
 
 def test_an_adjustment_continues_from_another_with_its_outliers() -> None:
-    """As those by grey levels do from that by circles: the same observations, the same estimate."""
+    """A second adjustment of the same observations, started from the first, equals it."""
     made = made_views(7)
     detection = made.cameras[0].detection
     centres = detection.centres_px + 1.5 * (np.arange(len(detection)) == 11)[:, None]
     detection = dataclasses.replace(detection, centres_px=centres)
     cameras = [dataclasses.replace(made.cameras[0], detection=detection), *made.cameras[1:]]
     first, priors = adjusted(cameras), SheetPriors(PoseModel.AIMED, TYPICAL)
-    again = adjust(cameras, SHEET, priors, first)
-    assert np.flatnonzero(~again.used[0]).tolist() == [11]
+    continued = adjust(cameras, SHEET, priors, first)
+    assert np.flatnonzero(~continued.used[0]).tolist() == [11]
     for view in range(3):
         sigma = np.sqrt(np.diag(pose_covariance(first, view)))
-        away = np.abs(again.parameters(view) - first.parameters(view))
+        away = np.abs(continued.parameters(view) - first.parameters(view))
         np.testing.assert_array_less(away, 1e-3 * sigma)
-    np.testing.assert_allclose(again.covariance, first.covariance, rtol=1e-4, atol=1e-12)
+    np.testing.assert_allclose(continued.covariance, first.covariance, rtol=1e-4, atol=1e-12)
 
 
 def test_places_that_scatter_more_than_they_claim_enlarge_their_camera_alone() -> None:
     made = made_views(8)
     camera = made.cameras[2]
     bold = dataclasses.replace(camera, detection=camera.detection.with_larger_sigmas(1 / 3))
-    found, honest = adjusted([*made.cameras[:2], bold]), adjusted(made.cameras)
-    assert found.sigma_factors[:2].tolist() == [1.0, 1.0]
-    assert found.sigma_factors[2] == pytest.approx(3, rel=0.3)
-    ratio = np.diag(pose_covariance(found, 2)) / np.diag(pose_covariance(honest, 2))
+    adjustment, honest = adjusted([*made.cameras[:2], bold]), adjusted(made.cameras)
+    assert adjustment.sigma_factors[:2].tolist() == [1.0, 1.0]
+    assert adjustment.sigma_factors[2] == pytest.approx(3, rel=0.3)
+    ratio = np.diag(pose_covariance(adjustment, 2)) / np.diag(pose_covariance(honest, 2))
     assert (np.abs(np.log(ratio)) < np.log(1.5)).all()

@@ -41,12 +41,12 @@ def pose_of(values: tuple[float, ...], aim_mm: tuple[float, float] = (0.0, 0.0))
 def problem_of(lens: Intrinsics, pose: Pose) -> Problem:
     """One camera before the whole sheet, which shows each circle at the pixel (0, 0)."""
     count = len(SHEET)
-    each = np.broadcast_to(np.eye(2), (count, 2, 2))
+    identities = np.broadcast_to(np.eye(2), (count, 2, 2))
     no_lines = np.full((2, 3), np.nan)
-    seen = Detection(
-        np.arange(count), np.zeros((count, 2)), each, each, no_lines, lens.image_size_px
+    detection = Detection(
+        np.arange(count), np.zeros((count, 2)), identities, identities, no_lines, lens.image_size_px
     )
-    camera = SheetCamera("one", seen, lens, None, pose)
+    camera = SheetCamera("one", detection, lens, None, pose)
     return sheet_problem([camera], SHEET, SheetPriors(PoseModel.AIM_FREE, EXACT))
 
 
@@ -86,12 +86,12 @@ def test_hidden_lines_change_nothing_but_the_start() -> None:
     camera = camera_of(TABLE_1["left"])
     results = [
         calibrate_detections(
-            {"a": simulated_detection(camera, SHEET, seed=4, lines_seen=seen)},
+            {"a": simulated_detection(camera, SHEET, seed=4, lines_seen=lines_seen)},
             SHEET,
             LENS,
             systematics=EXACT,
         )
-        for seen in (True, False)
+        for lines_seen in (True, False)
     ]
     np.testing.assert_allclose(results[0].values, results[1].values, rtol=1e-8)
 
@@ -147,8 +147,8 @@ def test_errors_scatter_as_the_covariance_says(pose_model: str, count: int) -> N
     squared = [e @ np.linalg.solve(blocks[k, :, k], e) for k, e in enumerate(errors)]
     # A mean of `trials` chi-squares of `count` degrees of freedom, within four deviations.
     assert abs(np.mean(squared) / count - 1) < 4 * np.sqrt(2 / (count * trials))
-    claimed = np.sqrt(np.diag(result.covariance)).reshape(trials, count)
-    np.testing.assert_allclose(np.std(errors / claimed, axis=0), 1.0, atol=0.17)
+    reported_sigmas = np.sqrt(np.diag(result.covariance)).reshape(trials, count)
+    np.testing.assert_allclose(np.std(errors / reported_sigmas, axis=0), 1.0, atol=0.17)
 
 
 def test_a_camera_that_looks_straight_down_is_calibrated() -> None:
@@ -163,7 +163,7 @@ def test_a_camera_that_looks_straight_down_is_calibrated() -> None:
 
 
 def test_what_places_are_said_to_err_by_matters_not_where_they_err_by_more() -> None:
-    """The covariance of one camera is that of the errors which its circles show."""
+    """The covariance of one camera follows the errors that its circles show."""
     shown = simulated_detection(camera_of(TABLE_1["left"]), SHEET, seed=6, sigma_px=0.1)
 
     def fit(share: float) -> Adjustment:
@@ -173,14 +173,14 @@ def test_what_places_are_said_to_err_by_matters_not_where_they_err_by_more() -> 
         assert adjustment is not None
         return adjustment
 
-    whole, half, tenth = fit(1.0), fit(0.5), fit(0.1)
+    full, half, tenth = fit(1.0), fit(0.5), fit(0.1)
     assert half.used[0].all()
     assert tenth.used[0].all()
     np.testing.assert_allclose(half.covariance, tenth.covariance, rtol=1e-4)
     # Chi-square over its degrees of freedom, in numbers of 0.1 px.
     scatter = tenth.reduced_chi_square[0] * 0.1**2
     assert 0.6 < scatter < 1.5
-    np.testing.assert_allclose(tenth.covariance, scatter * whole.covariance, rtol=1e-3)
-    # Which parameters are determined is judged by the stated sigmas.
-    judged = [observe_single_camera(each)[1].covariance for each in (whole, tenth)]
-    np.testing.assert_allclose(judged[1], 0.1**2 * judged[0], rtol=1e-3)
+    np.testing.assert_allclose(tenth.covariance, scatter * full.covariance, rtol=1e-3)
+    # The test of which parameters are determined uses the stated sigmas.
+    observed_covariances = [observe_single_camera(each)[1].covariance for each in (full, tenth)]
+    np.testing.assert_allclose(observed_covariances[1], 0.1**2 * observed_covariances[0], rtol=1e-3)

@@ -1,4 +1,4 @@
-"""What the circle fit says when circles are wrong, few, or of another sheet or lens."""
+"""Messages of the circle fit if circles are wrong, too few, or of another sheet or lens."""
 
 import dataclasses
 
@@ -69,7 +69,7 @@ ROW = np.flatnonzero(DOTS.centres_mm[:, 1] == 0.0)
 
 
 def row_and_sheet() -> dict[str, Detection]:
-    """A row through the origin seen by one camera, the whole sheet by the others."""
+    """Detections of a row through the origin by one camera and of the whole sheet by the others."""
     return {
         "upper": simulated_detection(UPPER, DOTS, seed=3, circles=ROW),
         "left": simulated_detection(camera_of(TABLE_1["left"]), DOTS, seed=1),
@@ -123,11 +123,11 @@ def test_a_missing_lens_is_named() -> None:
 def test_covariance_is_refused_off_the_determined_directions() -> None:
     information = np.diag([1e10, 1e10, 0.0])
     parameters = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]])
-    seen = observability(information, parameters, np.ones(3))
-    assert seen.rank == 2
-    assert seen.gauge == (2,)
-    np.testing.assert_allclose(seen.covariance[:2, :2], 1e-10 * np.eye(2), atol=1e-20)
-    assert np.isnan(seen.covariance[2]).all()
+    determined = observability(information, parameters, np.ones(3))
+    assert determined.rank == 2
+    assert determined.gauge == (2,)
+    np.testing.assert_allclose(determined.covariance[:2, :2], 1e-10 * np.eye(2), atol=1e-20)
+    assert np.isnan(determined.covariance[2]).all()
 
 
 def test_summary_holds_every_camera_and_its_sigmas() -> None:

@@ -1,4 +1,4 @@
-"""When two answers of one picture differ, and when blocks of a sheet do."""
+"""Tests of agreement: two estimates from one image, and the blocks of one sheet."""
 
 import dataclasses
 
@@ -21,8 +21,8 @@ from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.pose import PoseModel
 
 
-def adjusted(cameras, known: Systematics = TYPICAL) -> Adjustment:
-    return adjust(cameras, SHEET, SheetPriors(PoseModel.AIMED, known))
+def adjusted(cameras, systematics: Systematics = TYPICAL) -> Adjustment:
+    return adjust(cameras, SHEET, SheetPriors(PoseModel.AIMED, systematics))
 
 
 def test_right_answers_agree_and_wrong_ones_do_not() -> None:
@@ -49,7 +49,7 @@ def test_right_answers_agree_and_wrong_ones_do_not() -> None:
 
 @pytest.mark.parametrize("circles_know_more", [False, True])
 def test_answers_of_one_picture_differ_as_chi_square_does(circles_know_more: bool) -> None:
-    """An answer that is the other one and noise of its own: 4,000 pictures."""
+    """Over 4,000 images, one estimate is the other one plus noise of its own."""
     random = np.random.default_rng(0)
     few, more = random.normal(size=(30, 4)), random.normal(size=(40, 4))
     many = np.concatenate([few, 1.5 * more])
@@ -68,9 +68,9 @@ def test_more_unknowns_take_what_a_whole_fit_with_them_takes() -> None:
     base, extra = random.normal(size=(20, 5)), random.normal(size=(20, 2))
     prior = np.diag([3.0, 0.0, 0.0, 1.0, 0.0])
     root = np.linalg.cholesky(base.T @ base + prior).T
-    whole = np.concatenate([base, extra], axis=1)
+    all_columns = np.concatenate([base, extra], axis=1)
     score = score_of_residuals(extra, np.zeros(20), base, root, freedom=13.0)
-    normal = whole.T @ whole
+    normal = all_columns.T @ all_columns
     normal[:5, :5] += prior
     np.testing.assert_allclose(np.linalg.inv(score.information), np.linalg.inv(normal)[5:, 5:])
 
@@ -88,7 +88,7 @@ def _residuals_px(circles: Adjustment) -> np.ndarray:
 
 
 def moved_circles(camera: SheetCamera, shift_px: np.ndarray) -> SheetCamera:
-    """The same with its circles found elsewhere."""
+    """The camera with its circles detected at shifted positions."""
     centres = camera.detection.centres_px + shift_px
     return dataclasses.replace(
         camera, detection=dataclasses.replace(camera.detection, centres_px=centres)
@@ -96,16 +96,16 @@ def moved_circles(camera: SheetCamera, shift_px: np.ndarray) -> SheetCamera:
 
 
 def scatters(shared_px: float) -> list[float]:
-    """Of 20 pictures whose circles share an error with those of their block."""
-    found = []
+    """Scatter of the blocks in 20 images whose circles share an error with those of their block."""
+    block_scatters = []
     for seed in range(20):
         (camera,) = made_views(seed, cameras=("upper",)).cameras
-        places = SHEET.centres_mm
-        cell = np.floor((places - places.min()) / 81 * 4).astype(int)
+        centres_mm = SHEET.centres_mm
+        cell = np.floor((centres_mm - centres_mm.min()) / 81 * 4).astype(int)
         block = np.random.default_rng([3, seed]).normal(size=(4, 4, 2))[cell[:, 0], cell[:, 1]]
         camera = moved_circles(camera, shared_px * block)
-        found.append(scatter_of_blocks(adjusted([camera]), 0))
-    return found
+        block_scatters.append(scatter_of_blocks(adjusted([camera]), 0))
+    return block_scatters
 
 
 def test_blocks_scatter_as_claimed_unless_neighbours_share_an_error() -> None:
@@ -118,14 +118,14 @@ def test_blocks_scatter_as_claimed_unless_neighbours_share_an_error() -> None:
 def test_grey_levels_that_differ_are_believed_where_their_places_agree_with_each_other(
     scatters: bool, method: str
 ) -> None:
-    """As circles under a shadow's edge, which move together: all lie a sigma aside."""
+    """All circles are off by one sigma together, as under the edge of a shadow."""
     (camera,) = made_views(0, cameras=("left",)).cameras
     circles, finer_px = adjusted([camera]), SIGMA_PX / np.sqrt(1.75)
     noise = np.random.default_rng(1).normal(scale=2.0 if scatters else 1.0, size=(len(SHEET), 2))
-    places_px = _images_px(circles) + SIGMA_PX + finer_px * noise
+    points_px = _images_px(circles) + SIGMA_PX + finer_px * noise
     root = np.eye(2 * len(SHEET)) / finer_px
     shown = dataclasses.replace(
-        camera, grey_level_points=SheetPoints(SHEET.centres_mm, places_px, root)
+        camera, grey_level_points=SheetPoints(SHEET.centres_mm, points_px, root)
     )
     choice = choose_observations(0, shown, circles, adjusted([shown]))
     assert choice.agreement_p_value < 1e-3
@@ -133,7 +133,7 @@ def test_grey_levels_that_differ_are_believed_where_their_places_agree_with_each
 
 
 @pytest.mark.parametrize(
-    ("is_processed", "shared_px", "known", "method"),
+    ("is_processed", "shared_px", "systematics", "method"),
     [
         (False, 0.0, TYPICAL, "pixels"),
         (True, 0.0, TYPICAL, "points"),
@@ -143,20 +143,20 @@ def test_grey_levels_that_differ_are_believed_where_their_places_agree_with_each
     ids=["camera", "phone", "phone under glare", "phone, all exact"],
 )
 def test_grey_levels_of_sharpened_pictures_that_differ_give_way_to_sound_circles(
-    is_processed: bool, shared_px: float, known: Systematics, method: str
+    is_processed: bool, shared_px: float, systematics: Systematics, method: str
 ) -> None:
-    """Lens and sheet, where they are open, absorb what filters do to whole edges."""
-    (camera,) = made_views(0, known, cameras=("left",)).cameras
+    """Uncertain lens and sheet parameters absorb the shift of whole edges by an image filter."""
+    (camera,) = made_views(0, systematics, cameras=("left",)).cameras
     smooth = np.cos(SHEET.centres_mm[:, 1:] / 15.0) * np.ones(2)
-    circles, finer_px = adjusted([camera], known), SIGMA_PX / np.sqrt(1.75)
+    circles, finer_px = adjusted([camera], systematics), SIGMA_PX / np.sqrt(1.75)
     noise = np.random.default_rng(1).normal(size=(len(SHEET), 2))
-    places_px = _images_px(circles) + SIGMA_PX + finer_px * noise
+    points_px = _images_px(circles) + SIGMA_PX + finer_px * noise
     camera = moved_circles(camera, shared_px * smooth)
-    circles = adjusted([camera], known)
+    circles = adjusted([camera], systematics)
     root = np.eye(2 * len(SHEET)) / finer_px
-    points = SheetPoints(SHEET.centres_mm, places_px, root)
+    points = SheetPoints(SHEET.centres_mm, points_px, root)
     picture = GreyLevelFit(points, None, None, is_processed)
     shown = dataclasses.replace(camera, grey_level_fit=picture, grey_level_points=points)
-    choice = choose_observations(0, shown, circles, adjusted([shown], known))
+    choice = choose_observations(0, shown, circles, adjusted([shown], systematics))
     assert choice.agreement_p_value < 1e-2
     assert choice.method == method

@@ -1,4 +1,4 @@
-"""What knowing more would give is what a fit that knows more gives."""
+"""The promised gain of a better measurement equals that of a fit with that measurement."""
 
 import dataclasses
 import functools
@@ -15,7 +15,7 @@ from trinoc.calib.uncertainty.systematics import Systematics
 from trinoc.geometry.pose import PoseModel
 
 AIM_MM = 20.0
-# Of a data sheet.
+# The lens covariance of a data sheet.
 WIDE = 10 * LENS_FACTOR
 SHEET_OF_PRINTER = Systematics(
     print_scale_sigma=(7e-4, 7e-4), print_size_sigma=2e-3, flatness_mm=0.3
@@ -27,25 +27,27 @@ def made_cameras():
     return made_views(3, Systematics()).cameras
 
 
-def fitted(known: Systematics, lens_factor: np.ndarray | None = None) -> Adjustment:
-    """The same circles, made of an exact sheet, under what is said to be known."""
+def fitted(systematics: Systematics, lens_factor: np.ndarray | None = None) -> Adjustment:
+    """Adjustment of the same circles, of an exact sheet, under the stated systematics."""
     cameras = [dataclasses.replace(each, lens_factor=lens_factor) for each in made_cameras()]
-    return adjust(cameras, SHEET, SheetPriors(PoseModel.AIMED, known._replace(aim_sigma_mm=AIM_MM)))
+    return adjust(
+        cameras, SHEET, SheetPriors(PoseModel.AIMED, systematics._replace(aim_sigma_mm=AIM_MM))
+    )
 
 
-def largest_sigmas(found: Adjustment) -> tuple[float, float]:
-    """Of angles in degrees, and of distances in mm."""
+def largest_sigmas(adjustment: Adjustment) -> tuple[float, float]:
+    """Largest sigma of the angles, in degrees, and of the distances, in mm."""
     sigmas = []
     for view in range(len(made_cameras())):
-        rows, by_step = found.rows(view), found.degrees_by_step(view)
-        own = by_step @ found.covariance[np.ix_(rows, rows)] @ by_step.T
-        sigmas.append(np.sqrt(np.diag(own)))
+        rows, by_step = adjustment.rows(view), adjustment.degrees_by_step(view)
+        camera_covariance = by_step @ adjustment.covariance[np.ix_(rows, rows)] @ by_step.T
+        sigmas.append(np.sqrt(np.diag(camera_covariance)))
     angles, distances = np.split(np.array(sigmas)[:, :4], [3], axis=1)
     return float(angles.max()), float(distances.max())
 
 
 @pytest.mark.parametrize(
-    ("what", "known", "lens", "better", "better_lens"),
+    ("subject", "systematics", "lens", "better", "better_lens"),
     [
         ("lens", SHEET_OF_PRINTER, WIDE, SHEET_OF_PRINTER, WIDE / 10),
         (
@@ -58,13 +60,13 @@ def largest_sigmas(found: Adjustment) -> tuple[float, float]:
     ],
 )
 def test_what_is_promised_is_what_a_fit_that_knows_so_much_gives(
-    what, known, lens, better, better_lens
+    subject, systematics, lens, better, better_lens
 ) -> None:
-    found = fitted(known, lens)
-    advice = advise_measurement([found], known)
+    adjustment = fitted(systematics, lens)
+    advice = advise_measurement([adjustment], systematics)
     assert advice is not None
-    assert advice.subject == what
-    now, then = largest_sigmas(found), largest_sigmas(fitted(better, better_lens))
+    assert advice.subject == subject
+    now, then = largest_sigmas(adjustment), largest_sigmas(fitted(better, better_lens))
     np.testing.assert_allclose((advice.angle_now_deg, advice.distance_now_mm), now)
     np.testing.assert_allclose((advice.angle_then_deg, advice.distance_then_mm), then, rtol=0.02)
     for number in (advice.distance_then_mm, advice.distance_now_mm):

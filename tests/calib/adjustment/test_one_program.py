@@ -1,4 +1,4 @@
-"""Circles of a picture and its grey levels are fitted by one program: their tables are alike."""
+"""One compiled program fits circles and grey levels, because their tables have one shape."""
 
 from dataclasses import replace
 
@@ -21,11 +21,13 @@ def problem_of(*cameras: SheetCamera) -> Problem:
 
 
 def shown(camera: SheetCamera, pieces: int) -> SheetCamera:
-    """With all circles of the sheet, and pieces of lines, as its grey levels show them."""
-    places = np.concatenate([SHEET.centres_mm, np.zeros((pieces, 2))])
+    """The camera with grey-level points of all circles of the sheet and of pieces of lines."""
+    points_mm = np.concatenate([SHEET.centres_mm, np.zeros((pieces, 2))])
     return replace(
         camera,
-        grey_level_points=SheetPoints(places, np.zeros_like(places), np.eye(2 * len(places))),
+        grey_level_points=SheetPoints(
+            points_mm, np.zeros_like(points_mm), np.eye(2 * len(points_mm))
+        ),
     )
 
 
@@ -51,7 +53,7 @@ def test_room_for_a_picture_changes_no_answer():
         rows, by_step = plain.rows(view), plain.degrees_by_step(view)
         sigma = np.sqrt(np.diag(by_step @ plain.covariance[np.ix_(rows, rows)] @ by_step.T))
         sigma[:3] = np.radians(sigma[:3])
-        # What rounding leaves to the stopping rule is nothing beside the noise.
+        # The difference by rounding and the stopping rule is far below the noise.
         off = np.abs(roomy.parameters(view) - plain.parameters(view))
         np.testing.assert_array_less(off, 1e-6 * sigma)
     np.testing.assert_allclose(roomy.covariance, plain.covariance, rtol=1e-6, atol=1e-15)

@@ -1,4 +1,4 @@
-"""Pictures as cameras deliver them: whose answer is used, and whether its sigmas hold."""
+"""Images as cameras deliver them: the estimate that is used, and its sigmas."""
 
 import numpy as np
 import pytest
@@ -17,27 +17,27 @@ PAN, TILT, SWING, DISTANCE = TABLE_1["right"]
 POSE = (PAN + 1.0, TILT - 2.0, SWING + 0.5, DISTANCE + 6.0)
 
 
-def answer(name: str, known: Systematics) -> tuple[CalibrationResult, np.ndarray]:
-    """The calibration of one picture, and its errors in claimed sigmas."""
+def answer(name: str, systematics: Systematics) -> tuple[CalibrationResult, np.ndarray]:
+    """The calibration of one image, and its errors in reported sigmas."""
     condition = CONDITIONS[name]
     grid = condition.sheet
     pattern = Pattern.cross_grid(
         rows=grid.rows, columns=grid.columns, pitch_mm=grid.pitch_mm, radius_mm=grid.radius_mm
     )
-    picture = camera_picture(pattern, condition.camera(LENS, POSE), condition, seed=41)
-    result = calibrate({"a": picture}, pattern, LENS, systematics=known)
+    image = camera_picture(pattern, condition.camera(LENS, POSE), condition, seed=41)
+    result = calibrate({"a": image}, pattern, LENS, systematics=systematics)
     return result, (result.values - POSE) / np.sqrt(np.diag(result.covariance))
 
 
 EXACT = Systematics()
-# What people on a bench leave open, through a lens that was calibrated, and by its data sheet.
+# Systematics of a bench set-up with a calibrated lens, and with a lens known by its data sheet.
 BENCH = Systematics.typical({})
 DATA_SHEET = BENCH._replace(lens_covariance={"a": data_sheet_covariance(LENS)})
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "known", "method"),
+    ("name", "systematics", "method"),
     [
         ("sRGB, dark ink", EXACT, "pixels"),
         ("overexposed", EXACT, "pixels"),
@@ -46,8 +46,8 @@ DATA_SHEET = BENCH._replace(lens_covariance={"a": data_sheet_covariance(LENS)})
         ("vignette and broad glare", DATA_SHEET, "pixels"),
     ],
 )
-def test_no_error_beyond_four_sigmas_is_silent(name, known, method) -> None:
-    result, z = answer(name, known)
+def test_no_error_beyond_four_sigmas_is_silent(name, systematics, method) -> None:
+    result, z = answer(name, systematics)
     assert result.status["a"] is Status.CONVERGED
     assert result.fits["a"].method == method
     assert np.abs(z).max() < 4

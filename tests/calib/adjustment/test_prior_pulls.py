@@ -1,4 +1,4 @@
-"""Distances from the priors are chi-square where these are right, and name what is wrong."""
+"""Distances from right priors are chi-square, and large distances name the wrong prior."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,9 +9,9 @@ from tests.calib.adjustment.made_views import (
     SHEET,
     SIGMA_PX,
     TYPICAL,
+    circles_px,
     detection,
     made_views,
-    seen_px,
 )
 from tests.calib.simulated import LENS, TABLE_1
 from trinoc.calib import CalibrationResult, Status
@@ -35,23 +35,23 @@ ALONG_U[0] = 2e-3 * FOCAL_PX[0]
 AHEAD, ASIDE = (0.0, 50.0, 0.0, 475.0), TABLE_1["left"]
 
 
-def adjusted(seed: int, known: Systematics = KNOWN) -> Adjustment:
-    made = made_views(seed, known, lens_factor=LENS_FACTOR, cameras=("left",))
-    return adjust(made.cameras, SHEET, SheetPriors(PoseModel.AIMED, known))
+def adjusted(seed: int, systematics: Systematics = KNOWN) -> Adjustment:
+    made = made_views(seed, systematics, lens_factor=LENS_FACTOR, cameras=("left",))
+    return adjust(made.cameras, SHEET, SheetPriors(PoseModel.AIMED, systematics))
 
 
 def test_distances_from_right_priors_are_as_probable_as_they_claim() -> None:
-    """The mean of a probability that is uniform is a half, of each kind of unknown."""
+    """The p-values of each kind of unknown have a mean of a half, as uniform ones do."""
     chances: dict[str, list[float]] = {}
     for seed in range(DRAWS):
-        near = adjusted(seed)
-        space = PriorSpace.of(near)
-        for pull in map(space.pull, unknowns_with_priors(near)):
+        adjustment = adjusted(seed)
+        space = PriorSpace.of(adjustment)
+        for pull in map(space.pull, unknowns_with_priors(adjustment)):
             if pull.freedom:
                 chances.setdefault(pull.unknown.kind, []).append(pull.p_value)
-        assert refuted_priors(near) == []
+        assert refuted_priors(adjustment) == []
     assert {"all", "bend", "principal point", "print aspect"} <= set(chances)
-    # What no image shows is not tested.
+    # Unknowns that no image determines are not tested.
     assert "print size" not in chances
     for kind, values in chances.items():
         # Bends of one sheet are twelve tests that hardly depend on each other.
@@ -60,15 +60,15 @@ def test_distances_from_right_priors_are_as_probable_as_they_claim() -> None:
 
 
 def calibrated(values: tuple[float, ...], change: np.ndarray, **sheet: float) -> CalibrationResult:
-    """One camera over a sheet with these shares and heights in mm, through a lens so changed."""
+    """Calibration of one camera, given its lens change and the sheet's shares and heights in mm."""
     shape = np.array([sheet.get(name.replace(" ", "_"), 0.0) for name in BentPaper.names])
     pose = Pose.from_parameters(jnp.array([*np.radians(values[:3]), values[3], 0.0, 0.0]))
     noise = SIGMA_PX * np.random.default_rng(5).normal(size=(len(SHEET), 2))
-    seen = {"left": detection(seen_px(pose, change, shape) + noise, SIGMA_PX)}
-    known = TYPICAL._replace(
+    detections = {"left": detection(circles_px(pose, change, shape) + noise, SIGMA_PX)}
+    systematics = TYPICAL._replace(
         print_scale_sigma=(7e-4, 7e-4), lens_covariance={"left": ALONG_U @ ALONG_U.T}
     )
-    return calibrate_detections(seen, SHEET, LENS, systematics=known, throw=False)
+    return calibrate_detections(detections, SHEET, LENS, systematics=systematics, throw=False)
 
 
 @pytest.mark.parametrize("is_print", [True, False], ids=["print", "lens"])

@@ -1,4 +1,4 @@
-"""What is taken to be exact and is not: the pictures refute it, or it is said that they may not."""
+"""Wrong values assumed exact: the images refute them, or a note says that they may not."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, detection, seen_px
+from tests.calib.adjustment.made_views import SHEET, SIGMA_PX, circles_px, detection
 from tests.calib.simulated import LENS, TABLE_1
 from trinoc.calib.adjustment.adjustment import adjust
 from trinoc.calib.adjustment.measurement_advice import find_undetectable_errors
@@ -35,8 +35,7 @@ CHANGES = {
 
 
 class Fitted(NamedTuple):
-    """What its residuals say of a camera, and how far it is off, in its sigmas and in degrees and
-    mm."""
+    """Tests of one camera's fixed parameters; its pose error in sigmas and in degrees and mm."""
 
     tests: dict[str, FixedParameterTest]
     distance: float
@@ -45,25 +44,24 @@ class Fitted(NamedTuple):
 
 
 def fitted(seed: int, change: np.ndarray) -> Fitted:
-    """One camera through a lens that differs from what is said to be exact, over a sheet as chance
-    has it."""
+    """Fit of one camera over a random sheet, through a lens that differs from the assumed one."""
     random = np.random.default_rng([6, seed])
     sigma = BentPaper.sigmas(0.0, MEASURED.print_scale_sigma, MEASURED.flatness_mm)
     values = np.append(np.radians(TABLE_1["left"][:3]), TABLE_1["left"][3])
     pose = Pose.from_parameters(jnp.array([*values, *random.normal(size=2)]))
     noise = SIGMA_PX * random.normal(size=(len(SHEET), 2))
-    seen = detection(
-        seen_px(pose, change, sigma * random.normal(size=len(sigma))) + noise, SIGMA_PX
+    sheet_detection = detection(
+        circles_px(pose, change, sigma * random.normal(size=len(sigma))) + noise, SIGMA_PX
     )
-    camera = SheetCamera("left", seen, LENS, None, pose)
-    near = adjust([camera], SHEET, SheetPriors(PoseModel.AIMED, MEASURED))
-    tests = run_fixed_parameter_tests(near, 0)
-    off = near.parameters(0) - np.asarray(pose.parameters)
+    camera = SheetCamera("left", sheet_detection, LENS, None, pose)
+    adjustment = adjust([camera], SHEET, SheetPriors(PoseModel.AIMED, MEASURED))
+    tests = run_fixed_parameter_tests(adjustment, 0)
+    off = adjustment.parameters(0) - np.asarray(pose.parameters)
     off[:3] = np.degrees(off[:3])
-    step = np.linalg.solve(near.degrees_by_step(0), off)
-    distance = float(np.linalg.norm(near.pose_root(0) @ step))
+    step = np.linalg.solve(adjustment.degrees_by_step(0), off)
+    distance = float(np.linalg.norm(adjustment.pose_root(0) @ step))
     by_name = {test.name: test for test in tests}
-    return Fitted(by_name, distance, float(near.reduced_chi_square[0]), off)
+    return Fitted(by_name, distance, float(adjustment.reduced_chi_square[0]), off)
 
 
 @pytest.mark.parametrize("name", CHANGES)
@@ -84,19 +82,19 @@ def test_what_is_found_and_moves_the_camera_far_is_suspect_though_places_scatter
     name,
 ) -> None:
     change = 1.1 * fitted(0, np.zeros(5)).tests[name].undetectable @ CHANGES[name]
-    found = [
-        one for one in (fitted(seed, change) for seed in range(8)) if one.tests[name].is_significant
+    fits = [
+        fit for fit in (fitted(seed, change) for seed in range(8)) if fit.tests[name].is_significant
     ]
-    assert len(found) > 4
-    for one in found:
-        assert one.scatter < TUNING.answer.large_chi_square
-        assert is_suspect([one.tests[name]], one.scatter)
-        assert not is_suspect([one.tests[name]._replace(strain=3.9)], one.scatter)
+    assert len(fits) > 4
+    for fit in fits:
+        assert fit.scatter < TUNING.answer.large_chi_square
+        assert is_suspect([fit.tests[name]], fit.scatter)
+        assert not is_suspect([fit.tests[name]._replace(strain=3.9)], fit.scatter)
 
 
 @pytest.mark.parametrize("name", ["focal length", "principal point"])
 def test_what_goes_unseen_moves_the_camera_by_the_degrees_and_mm_that_are_stated(name) -> None:
-    """The same noise with the change and without."""
+    """The same noise is fitted with the change and without it."""
     right = fitted(0, np.zeros(5))
     test = right.tests[name]
     wrong = fitted(0, test.undetectable @ CHANGES[name])
@@ -124,15 +122,15 @@ def test_what_may_go_unseen_is_said_once_in_the_units_of_the_answer() -> None:
     weaker = worst._replace(
         undetectable=0.5 * worst.undetectable, undetectable_strain=0.5 * worst.undetectable_strain
     )
-    said = undetectable_errors(*find_undetectable_errors([*tests, weaker]))
-    assert said.count("The sigmas assume that the lens is exact") == 1
+    sentence = undetectable_errors(*find_undetectable_errors([*tests, weaker]))
+    assert sentence.count("The sigmas assume that the lens is exact") == 1
     assert worst.name == "principal point"
-    assert f"up to {np.linalg.norm(worst.undetectable):.2g} px of the principal point" in said
-    assert said.count("px of the principal point") == 1
-    assert f"distance by {abs(worst.undetectable_motion[3]):.2g} mm" in said
-    assert f"by {np.abs(worst.undetectable_motion[:3]).max():.2g} deg" in said
-    assert "trinoc intrinsics" in said
-    assert "of its sigmas" not in said
+    assert f"up to {np.linalg.norm(worst.undetectable):.2g} px of the principal point" in sentence
+    assert sentence.count("px of the principal point") == 1
+    assert f"distance by {abs(worst.undetectable_motion[3]):.2g} mm" in sentence
+    assert f"by {np.abs(worst.undetectable_motion[:3]).max():.2g} deg" in sentence
+    assert "trinoc intrinsics" in sentence
+    assert "of its sigmas" not in sentence
 
 
 def test_what_would_move_no_camera_is_not_worth_saying() -> None:

@@ -1,4 +1,4 @@
-"""Errors of shots held out: what a lens and what a rig do not explain."""
+"""Errors of shots that the fit leaves out, predicted by the lens alone and by the rig."""
 
 import dataclasses
 
@@ -19,7 +19,7 @@ def errors():
 
 
 def test_a_shot_held_out_is_missed_by_noise_and_by_what_the_others_do_not_tell(errors):
-    # Of 30 places six numbers went into the pose.
+    # The pose takes six of the 60 coordinates of 30 points.
     noise_px = SIGMA_PX * np.sqrt(2.0 * (60 - 6) / 60)
     assert errors.shots == 7
     for name in LENSES:
@@ -28,13 +28,13 @@ def test_a_shot_held_out_is_missed_by_noise_and_by_what_the_others_do_not_tell(e
 
 
 def test_a_camera_that_moves_between_shots_shows_in_the_other_cameras_alone(errors):
-    seen = shots()
-    steps = np.arange(len(seen["right"]))[:, None] % 2 * [0.6, 0.0]
-    seen["right"] = [
+    detections = shots()
+    steps = np.arange(len(detections["right"]))[:, None] % 2 * [0.6, 0.0]
+    detections["right"] = [
         dataclasses.replace(each, centres_px=each.centres_px + step)
-        for each, step in zip(seen["right"], steps, strict=True)
+        for each, step in zip(detections["right"], steps, strict=True)
     ]
-    moved = calibrate_rig(seen, BOARD, systematics=EXACT).cross_validation
+    moved = calibrate_rig(detections, BOARD, systematics=EXACT).cross_validation
     assert moved is not None
     assert moved.across_px["right"] > 2.0 * errors.across_px["right"]
     assert moved.own_px["right"] < 1.2 * errors.own_px["right"]

@@ -1,4 +1,4 @@
-"""The map of two halves' difference: no frame is in it, and what it claims is what it scatters."""
+"""The map of the difference of two halves does not depend on frames, and its sigmas hold."""
 
 import equinox as eqx
 import numpy as np
@@ -17,8 +17,8 @@ CAMERAS = tuple(LENSES)
 
 
 @pytest.fixture(scope="module")
-def known():
-    """Shots that are known, and the covariance of lenses and cameras that they claim."""
+def problem_and_covariance():
+    """Problem at the truth, and its reported covariance of lenses and cameras."""
     free = np.tile(np.arange(9) < 8, (3, 1))
     here = with_lens_free(problem(board_poses(6), Systematics()), free)
     return here, compute_information(here).observability.covariance
@@ -42,8 +42,8 @@ def elsewhere(state):
     return eqx.tree_at(lambda s: s.cam_from_rig, state, poses)
 
 
-def test_the_frames_of_the_halves_are_not_in_it(known):
-    problem, covariance = known
+def test_the_frames_of_the_halves_are_not_in_it(problem_and_covariance):
+    problem, covariance = problem_and_covariance
     random = np.random.default_rng(0)
     first, second = (a_half(problem, covariance, random) for _ in range(2))
     maps = field_differences(problem, (first, second), 2 * covariance, CAMERAS)
@@ -60,8 +60,8 @@ def test_the_frames_of_the_halves_are_not_in_it(known):
         assert one.rms_px[0] > 0.03
 
 
-def test_halves_that_err_as_they_claim_differ_by_one_sigma(known):
-    problem, covariance = known
+def test_halves_that_err_as_they_claim_differ_by_one_sigma(problem_and_covariance):
+    problem, covariance = problem_and_covariance
     random, squares = np.random.default_rng(1), []
     for _ in range(40):
         halves = [a_half(problem, covariance, random) for _ in range(2)]
@@ -70,10 +70,10 @@ def test_halves_that_err_as_they_claim_differ_by_one_sigma(known):
     assert np.sqrt(np.mean(squares, axis=0)) == pytest.approx(np.ones((3, 2)), abs=0.12)
 
 
-def test_the_points_lie_where_the_boards_were_and_farther(known):
-    problem, covariance = known
-    (found, *_) = field_differences(problem, [problem.state] * 2, covariance, CAMERAS)
-    assert found.distance_mm[1] == pytest.approx(3 * found.distance_mm[0])
-    assert 400 < found.distance_mm[0] < 900
-    assert np.isfinite(found.over_sigma).all()
+def test_the_points_lie_where_the_boards_were_and_farther(problem_and_covariance):
+    problem, covariance = problem_and_covariance
+    (first_map, *_) = field_differences(problem, [problem.state] * 2, covariance, CAMERAS)
+    assert first_map.distance_mm[1] == pytest.approx(3 * first_map.distance_mm[0])
+    assert 400 < first_map.distance_mm[0] < 900
+    assert np.isfinite(first_map.over_sigma).all()
     assert len(BOARD) == 30

@@ -1,4 +1,4 @@
-"""The shot to take next: what it promises is what comes, and more than others give."""
+"""The advised next shot has the promised effect, and more effect than other shots."""
 
 import json
 
@@ -19,8 +19,8 @@ from trinoc.geometry import Pose
 CAMERAS = tuple(LENSES)
 
 
-def calibrated(seen):
-    return calibrate_rig(seen, BOARD, systematics=Systematics(), distortion=4)
+def calibrated(detections):
+    return calibrate_rig(detections, BOARD, systematics=Systematics(), distortion=4)
 
 
 def worst_error_px(result):
@@ -43,21 +43,21 @@ def advice(before):
 
 @pytest.fixture(scope="module")
 def after(advice):
-    """The rig with the shot added that was advised: its world is the board of the first shot."""
+    """The calibration with the advised shot added. Its world is the board of the first shot."""
     pose, random = chained(board_poses(7)[0], advice.world_from_board), np.random.default_rng(9)
-    seen = shots()
-    for name, own in seen.items():
-        own.append(detection(name, pose, random) if name in advice.cameras else None)
-    return calibrated(seen)
+    detections = shots()
+    for name, camera_detections in detections.items():
+        camera_detections.append(detection(name, pose, random) if name in advice.cameras else None)
+    return calibrated(detections)
 
 
 def test_what_is_promised_comes(advice, after):
     assert advice.error_then_px < 0.5 * advice.error_now_px
     assert worst_error_px(after) == pytest.approx(advice.error_then_px, rel=0.35)
     promised = np.array(list(advice.sigma_then.values()))
-    found = np.array([after.sigma(name) for name in advice.sigma_then])
+    sigmas = np.array([after.sigma(name) for name in advice.sigma_then])
     # Noise's scale, and with it all sigmas, is told anew by each camera's residuals.
-    np.testing.assert_allclose(found, promised, rtol=0.25)
+    np.testing.assert_allclose(sigmas, promised, rtol=0.25)
 
 
 def test_the_advice_gives_more_than_another_shot(after):
@@ -66,29 +66,29 @@ def test_the_advice_gives_more_than_another_shot(after):
 
 def test_a_shot_never_takes_away(before):
     end = before.solved_problem
-    told = foresee_shots(end.problem, candidate_shots(end.problem))
-    assert {camera for shot in told for camera in shot.cameras} == {0, 1, 2}
-    for shot in told[::17]:
+    foreseen = foresee_shots(end.problem, candidate_shots(end.problem))
+    assert {camera for shot in foreseen for camera in shot.cameras} == {0, 1, 2}
+    for shot in foreseen[::17]:
         less = end.covariance - add_shot(end.covariance, shot, end.variance_factor)
         assert np.linalg.eigvalsh(less).min() > -1e-9 * np.abs(end.covariance).max()
         assert shot_error_px(shot, end.covariance) > 0
 
 
 def test_a_shot_that_was_taken_is_foreseen_as_it_was(before):
-    """As many places, each as accurate as the fit counts those that were seen."""
+    """The predicted shot has as many points as the real one, with the sigmas that the fit uses."""
     problem = before.solved_problem.problem
     shot = foresee_shots(problem, candidate_shots(problem)[:2])[0]
     ratios = [np.median([v.sigma_ratio for v in problem.views if v.camera == c]) for c in range(3)]
     factors = np.array([before.fits[c].sigma_factor for c in CAMERAS])
     np.testing.assert_allclose(point_sigma_px(problem), 0.05 * factors * ratios, rtol=0.03)
-    again = foresee_shots(
+    foreseen = foresee_shots(
         problem,
         [
             shot.candidate._replace(rig_from_board=Pose(problem.state.rig_from_board[k]))
             for k in range(7)
         ],
     )
-    assert [each.point_count for each in again] == [
+    assert [each.point_count for each in foreseen] == [
         sum(len(view.detection) for view in problem.views if view.shot == k) for k in range(7)
     ]
 
@@ -99,8 +99,8 @@ def test_the_sentence_says_who_sees_it_and_where(advice, before):
     assert "of its image" in advice.sentence
     assert advice.parameter in before.parameters
     assert f"sigma of {advice.parameter}" in advice.sentence
-    held = advice._replace(parameter=None)
-    assert "sigma of" not in held.sentence
+    without_parameter = advice._replace(parameter=None)
+    assert "sigma of" not in without_parameter.sentence
 
 
 def test_the_command_s_record_is_json(advice, before):

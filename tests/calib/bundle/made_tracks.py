@@ -1,4 +1,4 @@
-"""Lines around the reference rig, seen by its cameras with known noise."""
+"""Simulated lines around the reference rig, observed by its cameras with noise of known size."""
 
 import numpy as np
 
@@ -34,7 +34,7 @@ def rig_at(values: np.ndarray, *, with_covariance: bool) -> Rig:
 def made_tracks(
     seed: int, tracks: int, *, sigma_px: float = 0.3, wrong: float = 0.0, hidden: float = 0.2
 ) -> tuple[LineObservations, np.ndarray, np.ndarray]:
-    """(observations, true ends (t, 2, 3), which are wrong (t,)), the truth being Table 1's rig."""
+    """Simulated lines seen by Table 1's rig: observations, true ends (t, 2, 3), wrong mask (t,)."""
     random = np.random.default_rng(seed)
     middle = random.uniform(-70, 70, (tracks, 3))
     middle[:, 2] = abs(middle[:, 2])
@@ -52,12 +52,12 @@ def made_tracks(
         "tvij,tvj->tvi", np.linalg.cholesky(covariance), random.standard_normal((tracks, 3, 4))
     )
     fragments = exact + noise.reshape(tracks, 3, 2, 2)
-    seen = np.ones((tracks, 3), dtype=bool)
+    visible = np.ones((tracks, 3), dtype=bool)
     partly = np.flatnonzero(random.random(tracks) < hidden)
-    seen[partly, random.integers(0, 3, len(partly))] = False
-    bad = seen.all(axis=1) & (random.random(tracks) < wrong)
+    visible[partly, random.integers(0, 3, len(partly))] = False
+    bad = visible.all(axis=1) & (random.random(tracks) < wrong)
     fragments[bad, random.integers(0, 3, bad.sum())] += random.normal(0, 15, (bad.sum(), 2, 2))
-    fragments[~seen] = np.nan
+    fragments[~visible] = np.nan
     start = ends + random.normal(0, 0.5, ends.shape)
     views = tuple(ANGLES_AND_DISTANCES)
-    return LineObservations(views, fragments, covariance, seen, start), ends, bad
+    return LineObservations(views, fragments, covariance, visible, start), ends, bad

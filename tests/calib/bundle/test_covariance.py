@@ -1,4 +1,4 @@
-"""Errors of segments and factors on claimed sigmas are those of whole experiments."""
+"""Sigmas of segments and their factors equal the scatter of simulated experiments."""
 
 import jax
 import numpy as np
@@ -49,10 +49,12 @@ def test_ends_scatter_as_their_own_covariance_says():
     root = np.linalg.cholesky(lines.covariance_px2[0])
     noise = np.einsum("vij,nvj->nvi", root, random.standard_normal((count, 3, 4)))
     covariance = np.tile(lines.covariance_px2, (count, 1, 1, 1))
-    seen = np.ones((count, 3), dtype=bool)
-    found, own, _ = segments(cameras(), (exact + noise).reshape(count, 3, 2, 2), covariance, seen)
-    error = (np.asarray(found) - ends).reshape(count, 6)
-    squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(own), error)
+    visible = np.ones((count, 3), dtype=bool)
+    estimate, estimate_covariance, _ = segments(
+        cameras(), (exact + noise).reshape(count, 3, 2, 2), covariance, visible
+    )
+    error = (np.asarray(estimate) - ends).reshape(count, 6)
+    squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(estimate_covariance), error)
     assert squared.mean() == pytest.approx(6, abs=4 * np.sqrt(12 / count))
 
 
@@ -64,10 +66,10 @@ def test_what_is_determined_is_the_inverse_and_what_is_not_is_named():
     assert (determined.rank, determined.gauge) == (18, "")
     np.testing.assert_allclose(determined.covariance, np.linalg.inv(information), rtol=1e-6)
     free = np.linalg.qr(random.normal(size=(18, 7)))[0]
-    held = information - information @ free @ np.linalg.solve(
+    singular = information - information @ free @ np.linalg.solve(
         free.T @ information @ free, free.T @ information
     )
-    determined = determined_part(held, none)
+    determined = determined_part(singular, none)
     assert determined.rank == 11
     assert determined.gauge == "position, orientation and scale of the whole rig"
 
@@ -77,14 +79,16 @@ def test_the_factor_is_that_by_which_residuals_exceed_what_they_claim(factor: fl
     tracks, views = 400, 4
     squared = factor**2 * np.random.default_rng(2).chisquare(2, (tracks, views))
     # Each track's line takes four of the eight distances.
-    found, inlier = segment_factor(squared / 2, np.ones((tracks, views), dtype=bool), 0.0, TUNING)
-    assert found == pytest.approx(factor, rel=0.05)
+    fitted_factor, inlier = segment_factor(
+        squared / 2, np.ones((tracks, views), dtype=bool), 0.0, TUNING
+    )
+    assert fitted_factor == pytest.approx(factor, rel=0.05)
     assert inlier.all()
 
 
 def test_too_few_residuals_leave_the_claimed_sigmas() -> None:
     nothing, pairs = np.zeros((5, 3)), np.array([[True, True, False]] * 5)
-    # What rounding leaves of a trace that is zero must not pass for a degree of freedom.
+    # The rounding error of a zero trace must not count as a degree of freedom.
     for trace in (0.0, -1e-12, 3.0):
         assert segment_factor(nothing, pairs, trace, TUNING)[0] == 1.0
     assert sheet_factor(400.0, 29.0, TUNING) == 1.0

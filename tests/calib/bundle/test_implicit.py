@@ -18,7 +18,7 @@ LOSS = GemanMcClure.from_scale(8.0)
 
 
 def crossing(line, ends):
-    """Where a line crosses the plane through a segment's second end, at right angles to it.
+    """Intersection of a line with the plane through a segment's second end, normal to the segment.
 
     The anchors themselves may slide along the line, which is no property of the line.
     """
@@ -60,8 +60,8 @@ def test_gradients_of_a_line_and_of_a_camera_agree_with_differences():
         above = value(lines.fragments_px + delta, prior.values)
         below = value(lines.fragments_px - delta, prior.values)
         expected = (above - below) / (2 * step_px)
-        found = by_fragments[:, track, view, end, axis]
-        np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-7)
+        derivative = by_fragments[:, track, view, end, axis]
+        np.testing.assert_allclose(derivative, expected, rtol=1e-4, atol=1e-7)
     for view, parameter in ((0, 1), (2, 3)):
         delta = np.zeros((3, 4))
         delta[view, parameter] = step

@@ -1,4 +1,4 @@
-"""The equations of cameras and lines are those of their cost, in every part."""
+"""The equations of cameras and lines equal the derivatives of their cost, in every part."""
 
 import equinox as eqx
 import jax
@@ -48,8 +48,8 @@ move = jax.jit(lambda state, *step: state.retract(*step))
 
 def cameras_of(pose_model, *, with_intrinsics=False):
     rig = rig_at(TRUTH, with_covariance=False)
-    each = [camera_state(c, pose_model, with_intrinsics=with_intrinsics) for c in rig.cameras]
-    return stack_states(each), rig
+    states = [camera_state(c, pose_model, with_intrinsics=with_intrinsics) for c in rig.cameras]
+    return stack_states(states), rig
 
 
 def tracks_of(lines):
@@ -58,7 +58,7 @@ def tracks_of(lines):
 
 
 def prior_of(cameras):
-    """A sheet that knows the cameras' parameters, which err together."""
+    """Prior of a sheet that determines the cameras' parameters with correlated errors."""
     values = jax.jit(jax.vmap(lambda camera: camera.parameters(camera)))(cameras)
     random = np.random.default_rng(4)
     root = np.eye(values.size) + 0.2 * random.normal(size=(values.size, values.size))
@@ -67,7 +67,7 @@ def prior_of(cameras):
 
 
 def problem_of(lines, pose_model, loss=LOSS, *, with_intrinsics=False, off=0.0):
-    """The problem, a state that is `off` from the truth (rad), and a step of nothing there."""
+    """The problem, a state that is `off` from the truth (rad), and a zero step there."""
     cameras, _ = cameras_of(pose_model, with_intrinsics=with_intrinsics)
     prior = prior_of(cameras)
     problem = JointProblem(tracks_of(lines).in_three_views(), prior, loss)
@@ -99,8 +99,8 @@ def test_a_step_of_zero_moves_nothing_and_others_are_differentiable(pose_model, 
     count = len(first.names)
     at_rest = jax.jit(lambda step: first.retract(step))(jnp.zeros(count))
     np.testing.assert_allclose(at_rest.matrix_px, rig["upper"].matrix_px, rtol=1e-12, atol=1e-9)
-    again = camera_of_state(at_rest, rig["upper"])
-    np.testing.assert_allclose(again.matrix_px, rig["upper"].matrix_px, rtol=1e-12, atol=1e-9)
+    rebuilt = camera_of_state(at_rest, rig["upper"])
+    np.testing.assert_allclose(rebuilt.matrix_px, rig["upper"].matrix_px, rtol=1e-12, atol=1e-9)
 
     by_step = jax.jit(lambda: first.d_parameters_d_delta(first))()
     parameters = jax.jit(lambda step: first.retract(step).parameters(first))
@@ -129,20 +129,20 @@ def test_whitening_makes_the_distances_independent():
     [pytest.param(PoseModel.AIMED, False, marks=pytest.mark.slow), (PoseModel.AIM_FREE, True)],
 )
 def test_cost_and_half_its_gradient_are_those_of_the_equations(pose_model, with_intrinsics):
-    """Of lines and prior, off their minimum, some fragments being wrong."""
+    """The lines and the prior are away from their minimum, and some fragments are wrong."""
     lines, _, _ = made_tracks(3, COUNT, hidden=0.2, wrong=0.3)
     problem, state, none = problem_of(lines, pose_model, with_intrinsics=with_intrinsics, off=1e-3)
     cost_after = jax.value_and_grad(lambda *step: problem.cost(state.retract(*step)), (0, 1))
     cost, gradients = jax.jit(cost_after)(*none)
     equations = equations_of(problem, state)
     np.testing.assert_allclose(equations.cost, cost, rtol=1e-9)
-    for found, expected in zip(equations.gradient, gradients, strict=True):
+    for gradient, expected in zip(equations.gradient, gradients, strict=True):
         assert np.abs(expected).max() > 10
-        np.testing.assert_allclose(2 * found, expected, rtol=1e-6, atol=1e-5)
+        np.testing.assert_allclose(2 * gradient, expected, rtol=1e-6, atol=1e-5)
 
 
 def test_where_all_agrees_the_information_is_half_the_hessian_of_the_cost():
-    """Gauss and Newton leave out only what residuals multiply; the prior's part is all there."""
+    """The Gauss-Newton matrix is half the Hessian if all residuals are zero, the prior included."""
     lines, ends, _ = made_tracks(3, COUNT, hidden=0.2, sigma_px=0.3)
     rig = rig_at(TRUTH, with_covariance=False)
     homogeneous = np.concatenate([ends, np.ones((COUNT, 2, 1))], axis=2)
@@ -154,14 +154,14 @@ def test_where_all_agrees_the_information_is_half_the_hessian_of_the_cost():
     assert cost_of(problem, state) < 1e-12
     flat, unflatten = ravel_pytree(none)
     hessian = jax.jit(jax.hessian(lambda step: problem.cost(state.retract(*unflatten(step)))))
-    found = np.asarray(equations_of(problem, state).information.as_matrix())
-    scale = np.sqrt(np.maximum(np.diag(found), 1e-9))
+    information = np.asarray(equations_of(problem, state).information.as_matrix())
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-9))
     normal = np.outer(scale, scale)
-    np.testing.assert_allclose(found / normal, hessian(flat) / 2 / normal, atol=1e-7)
+    np.testing.assert_allclose(information / normal, hessian(flat) / 2 / normal, atol=1e-7)
 
 
 def test_the_information_is_weighted_as_the_loss_says():
-    """Against dense rows of each fragment's own Jacobian, one by one."""
+    """The information equals that of dense rows of each fragment's own Jacobian."""
     lines, _, _ = made_tracks(1, COUNT, hidden=0.0, wrong=0.3)
     problem, state, none = problem_of(lines, PoseModel.RIGID, off=1e-3)
     tracks = problem.tracks
@@ -182,8 +182,8 @@ def test_the_information_is_weighted_as_the_loss_says():
     head = len(none[0])
     by_step = np.asarray(equations_of_prior(problem, state).information)
     dense[:head, :head] += by_step
-    found = np.asarray(equations_of(problem, state).information.as_matrix())
-    np.testing.assert_allclose(found, dense, rtol=1e-8, atol=1e-8 * dense.max())
+    information = np.asarray(equations_of(problem, state).information.as_matrix())
+    np.testing.assert_allclose(information, dense, rtol=1e-8, atol=1e-8 * dense.max())
 
 
 @pytest.mark.parametrize(("loss", "wrong"), [(EVERYTHING, 0.0), (LOSS, 0.3)])
@@ -198,12 +198,14 @@ def test_eliminating_the_lines_solves_the_whole_problem(loss, wrong):
     np.testing.assert_allclose(
         np.linalg.inv(elimination.reduced), covariance, rtol=1e-6, atol=1e-12
     )
-    known = line_information(problem, state) + equations_of_prior(problem, state).information
-    np.testing.assert_allclose(np.linalg.inv(known), covariance, rtol=1e-6, atol=1e-12)
+    camera_information = (
+        line_information(problem, state) + equations_of_prior(problem, state).information
+    )
+    np.testing.assert_allclose(np.linalg.inv(camera_information), covariance, rtol=1e-6, atol=1e-12)
 
 
 def test_rounding_is_no_knowledge_of_the_gauge():
-    """Without a sheet the whole rig may move and grow, whatever the weights of wrong matches."""
+    """Without a sheet, position, orientation and scale of the rig stay undetermined."""
     lines, _, _ = made_tracks(6, 60, hidden=0.2, wrong=0.4)
     problem, state, _ = problem_of(lines, PoseModel.RIGID, off=1e-3)
     bare = eqx.tree_at(lambda p: p.prior.information, problem, jnp.zeros((18, 18)))
@@ -219,9 +221,9 @@ def test_two_views_of_a_line_say_nothing_about_the_cameras():
     problem, state, _ = problem_of(lines, PoseModel.RIGID)
     equations = equations_of(problem, state)
     information, gradient = equations.information, equations.gradient
-    _, known, pull = equations_of_prior(problem, state)
-    np.testing.assert_allclose(information.head, known, rtol=1e-10)
-    np.testing.assert_allclose(gradient[0], pull, atol=1e-9)
+    _, prior_part, prior_gradient = equations_of_prior(problem, state)
+    np.testing.assert_allclose(information.head, prior_part, rtol=1e-10)
+    np.testing.assert_allclose(gradient[0], prior_gradient, atol=1e-9)
     for leaf in (information.coupling, information.blocks, gradient[1]):
         np.testing.assert_array_equal(leaf, 0)
 
@@ -230,14 +232,14 @@ def test_the_prior_is_the_inverse_of_the_covariance_of_the_cameras_that_did_not_
     rig = rig_at(TRUTH, with_covariance=True)
     names = ("pan_deg", "tilt_deg", "swing_deg", "distance_mm", "aim_x_mm", "aim_y_mm")
     choice = FreeParameters(PoseModel.AIM_FREE, False, ("upper", "right"), aim_fixed=True)
-    found = prior_information(rig, names, choice)
+    information = prior_information(rig, names, choice)
     sigma = dict(zip(NAMES, SHEET_SIGMA, strict=True))
     for k, camera in enumerate(rig.names):
         of_aim = [FIXED_SIGMA**-2] * 2
         expected = [sigma[f"{camera}.{name}"] ** -2 for name in names[:4]] + of_aim
-        own = np.diag(found)[6 * k : 6 * k + 6]
-        np.testing.assert_allclose(own, 0 if camera == "left" else expected, rtol=1e-12)
-    np.testing.assert_array_equal(found - np.diag(np.diag(found)), 0)
+        camera_diagonal = np.diag(information)[6 * k : 6 * k + 6]
+        np.testing.assert_allclose(camera_diagonal, 0 if camera == "left" else expected, rtol=1e-12)
+    np.testing.assert_array_equal(information - np.diag(np.diag(information)), 0)
 
 
 def test_a_lens_is_known_no_better_than_is_held_and_as_it_errs_with_the_pose():
@@ -248,9 +250,11 @@ def test_a_lens_is_known_no_better_than_is_held_and_as_it_errs_with_the_pose():
     stated = Rig(dict(rig.items()), parameters=keys, covariance=root @ root.T)
     names = ("distance_mm", "fx_px", "fy_px")
     choice = FreeParameters(PoseModel.AIM_FREE, False, ("upper",), aim_fixed=False)
-    found = prior_information(stated, names, choice)
-    held = np.diag([0.0, FIXED_SIGMA**2, FIXED_SIGMA**2])
-    np.testing.assert_allclose(found[:3, :3], np.linalg.inv(root @ root.T + held), rtol=1e-6)
+    information = prior_information(stated, names, choice)
+    fixed_variance = np.diag([0.0, FIXED_SIGMA**2, FIXED_SIGMA**2])
+    np.testing.assert_allclose(
+        information[:3, :3], np.linalg.inv(root @ root.T + fixed_variance), rtol=1e-6
+    )
 
 
 def test_two_views_are_met_exactly_and_others_stay():
@@ -259,16 +263,18 @@ def test_two_views_are_met_exactly_and_others_stay():
     tracks = tracks_of(lines)
     start = ends + np.random.default_rng(5).normal(0.0, 3.0, ends.shape)
     before = CamerasAndLines(cameras, start)
-    placed = jax.jit(with_lines_of_two_views)(before, tracks)
+    adjusted = jax.jit(with_lines_of_two_views)(before, tracks)
     two = lines.seen.sum(axis=1) == 2
     assert 10 < two.sum() < 50
     squared = jax.jit(squared_distances)
     assert np.asarray(squared(before, tracks))[two].sum(axis=1).min() > 1.0
-    np.testing.assert_allclose(np.asarray(squared(placed, tracks))[two], 0.0, atol=1e-8)
-    found = np.asarray(placed.anchors_mm)
-    np.testing.assert_array_equal(found[~two], start[~two])
+    np.testing.assert_allclose(np.asarray(squared(adjusted, tracks))[two], 0.0, atol=1e-8)
+    anchors_mm = np.asarray(adjusted.anchors_mm)
+    np.testing.assert_array_equal(anchors_mm[~two], start[~two])
     # The points of the line nearest to the anchors.
-    across = np.einsum("tei,ti->te", (start - found)[two], found[two, 1] - found[two, 0])
+    across = np.einsum(
+        "tei,ti->te", (start - anchors_mm)[two], anchors_mm[two, 1] - anchors_mm[two, 0]
+    )
     np.testing.assert_allclose(across, 0.0, atol=1e-5)
-    again = jax.jit(with_lines_of_two_views)(placed, tracks).anchors_mm
-    np.testing.assert_allclose(again, found, atol=1e-6)
+    second_pass = jax.jit(with_lines_of_two_views)(adjusted, tracks).anchors_mm
+    np.testing.assert_allclose(second_pass, anchors_mm, atol=1e-6)

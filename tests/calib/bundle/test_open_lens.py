@@ -17,7 +17,7 @@ SHEET = reference_sheet()
 
 
 def data_sheet_calibration(seed: int, *, exact: tuple[str, ...] = ()) -> CalibrationResult:
-    """Of Table 1's rig, nothing being said but the data sheet of its lens."""
+    """Calibration of Table 1's rig with lenses known by their data sheet only."""
     detections = {
         name: simulated_detection(camera_of(values), SHEET, seed=10 * seed + k, sigma_px=0.02)
         for k, (name, values) in enumerate(ANGLES_AND_DISTANCES.items())
@@ -65,8 +65,8 @@ def test_a_lens_that_is_exact_stays_while_others_are_open() -> None:
         refined.rig["upper"].intrinsics.matrix, sheet.rig["upper"].intrinsics.matrix, atol=1e-2
     )
     assert 0 < refined.rig.sigma("upper.fx_px") < 2e-3
-    held = refine(sheet, made_tracks(7, 60)[0], free_lens=False)
-    assert not any(name.endswith(AFFINE_PARAMETERS) for name in held.parameters)
+    with_lens_fixed = refine(sheet, made_tracks(7, 60)[0], free_lens=False)
+    assert not any(name.endswith(AFFINE_PARAMETERS) for name in with_lens_fixed.parameters)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The posterior rewards right triples and nothing else, so that rounds of matching are ranked."""
+"""The posterior rises with right triples only, so that it ranks rounds of matching."""
 
 import numpy as np
 import pytest
@@ -16,16 +16,16 @@ def tracks(seed, count, views=3):
 
 
 def test_two_views_gain_nothing():
-    squared, seen = tracks(0, 20)
+    squared, visible = tracks(0, 20)
     more = np.concatenate([squared, np.zeros((50, 3))])
-    seen_more = np.concatenate([seen, np.tile([True, False, True], (50, 1))])
-    value = log_posterior(squared, seen, 3.0, LOSS)
-    assert log_posterior(more, seen_more, 3.0, LOSS) == pytest.approx(value)
+    more_visible = np.concatenate([visible, np.tile([True, False, True], (50, 1))])
+    value = log_posterior(squared, visible, 3.0, LOSS)
+    assert log_posterior(more, more_visible, 3.0, LOSS) == pytest.approx(value)
 
 
 def test_right_triples_gain_and_wrong_ones_do_not():
-    squared, seen = tracks(1, 20)
-    value = log_posterior(squared, seen, 3.0, LOSS)
+    squared, visible = tracks(1, 20)
+    value = log_posterior(squared, visible, 3.0, LOSS)
     right, _ = tracks(2, 5)
     with_right = np.concatenate([squared, right])
     assert (
@@ -38,17 +38,19 @@ def test_right_triples_gain_and_wrong_ones_do_not():
 
 @given(st.integers(0, 1000), st.integers(3, 5), st.floats(0, 100))
 def test_order_does_not_matter_and_the_sheet_counts_in_full(seed, views, sheet):
-    squared, seen = tracks(seed, 12, views)
+    squared, visible = tracks(seed, 12, views)
     random = np.random.default_rng(seed)
-    seen[random.random(seen.shape) < 0.2] = False
-    value = log_posterior(squared, seen, sheet, LOSS)
+    visible[random.random(visible.shape) < 0.2] = False
+    value = log_posterior(squared, visible, sheet, LOSS)
     rows, columns = random.permutation(12), random.permutation(views)
-    turned = log_posterior(squared[rows][:, columns], seen[rows][:, columns], sheet, LOSS)
+    turned = log_posterior(squared[rows][:, columns], visible[rows][:, columns], sheet, LOSS)
     assert turned == pytest.approx(value)
-    assert value == pytest.approx(log_posterior(squared, seen, 0.0, LOSS) - sheet / 2)
+    assert value == pytest.approx(log_posterior(squared, visible, 0.0, LOSS) - sheet / 2)
 
 
 @given(st.integers(0, 1000), st.floats(1, 30))
 def test_a_larger_distance_never_gains(seed, factor):
-    squared, seen = tracks(seed, 12)
-    assert log_posterior(factor * squared, seen, 0, LOSS) <= log_posterior(squared, seen, 0, LOSS)
+    squared, visible = tracks(seed, 12)
+    assert log_posterior(factor * squared, visible, 0, LOSS) <= log_posterior(
+        squared, visible, 0, LOSS
+    )

@@ -1,4 +1,4 @@
-"""Joint refinement: what it finds, what it says of its errors, and what it leaves alone."""
+"""Joint refinement: its estimates, their errors, and the parameters that it leaves unchanged."""
 
 import equinox as eqx
 import numpy as np
@@ -31,7 +31,7 @@ CHI_SQUARE_6_AT_95 = 12.592
 
 
 def sheet_estimate(seed):
-    """The rig as a sheet with the stated sigmas would have calibrated it."""
+    """Rig as calibrated with a sheet that has the stated sigmas."""
     noise = SHEET_SIGMA * np.random.default_rng(seed).standard_normal(12)
     return rig_at(TRUTH + noise, with_covariance=True)
 
@@ -99,9 +99,12 @@ def test_the_noise_of_the_segments_is_estimated():
     assert right.segment_sigma_factor == pytest.approx(1, abs=0.1)
     answer = refine(sheet_estimate(10), pessimist)
     assert answer.segment_sigma_factor == pytest.approx(0.5 * right.segment_sigma_factor, rel=0.05)
-    # What is known of the lines does not depend on what was stated.
-    own, as_stated = answer.lines.fragment_covariance_mm2, right.lines.fragment_covariance_mm2
-    ratio = np.trace(own, axis1=1, axis2=2) / np.trace(as_stated, axis1=1, axis2=2)
+    # The covariance of the lines does not depend on the stated sigmas.
+    covariance_mm2, as_stated = (
+        answer.lines.fragment_covariance_mm2,
+        right.lines.fragment_covariance_mm2,
+    )
+    ratio = np.trace(covariance_mm2, axis1=1, axis2=2) / np.trace(as_stated, axis1=1, axis2=2)
     assert np.median(ratio) == pytest.approx(1, rel=0.1)
 
 
@@ -110,7 +113,7 @@ def test_a_sheet_that_fitted_worse_than_it_claims_knows_so_much_less(monkeypatch
     vague = LineObservations(
         lines.views, lines.fragments_px, 1e8 * lines.covariance_px2, lines.seen, lines.lines_mm
     )
-    monkeypatch.setattr(estimate, "segment_factor", lambda squared, seen, *_: (1.0, seen))
+    monkeypatch.setattr(estimate, "segment_factor", lambda squared, visible, *_: (1.0, visible))
     monkeypatch.setattr(estimate, "sheet_factor", lambda *_: 3.0)
     sheet = sheet_estimate(10)
     answer = refine(sheet, vague)
@@ -171,7 +174,7 @@ def test_the_order_of_cameras_does_not_matter():
 
 @pytest.mark.slow
 def test_intrinsics_on_request_follow_their_covariance():
-    """Twelve pose and twelve intrinsic parameters from a start with wrong focal lengths."""
+    """The errors of 12 pose and 12 intrinsic parameters, from a start with wrong focal lengths."""
     lines, _, _ = made_tracks(15, 300, sigma_px=0.1)
     start = sheet_estimate(16)
     wrong = eqx.tree_at(
@@ -238,11 +241,11 @@ def test_another_tuning_is_used_after_a_call_with_the_default():
     # Residuals of two sigmas cost less under a loss that levels out there.
     narrow = refine(sheet, lines, tuning=with_field(TUNING, "bundle.loss_sigmas", 2.0))
     assert narrow.chi_square[0] < 0.9 * usual.chi_square[0]
-    # Where the loss never narrows, wrong fragments pull the cameras.
+    # If the loss never narrows, wrong fragments pull the cameras.
     wide = refine(sheet, lines, tuning=with_field(TUNING, "bundle.widenings", (16.0,)))
     assert np.abs(wide.values - usual.values).max() > 0
     strict = refine(sheet, lines, tuning=with_field(TUNING, "bundle.outlier_chance", 0.5))
     assert strict.inlier.sum() < usual.inlier.sum()
-    again = refine(sheet, lines)
-    np.testing.assert_array_equal(again.values, usual.values)
-    np.testing.assert_array_equal(again.covariance, usual.covariance)
+    repeated = refine(sheet, lines)
+    np.testing.assert_array_equal(repeated.values, usual.values)
+    np.testing.assert_array_equal(repeated.covariance, usual.covariance)

@@ -1,4 +1,4 @@
-"""Matching again: what wins, what does not, and an answer that chance alone would give."""
+"""Rounds of matching: the round that wins, and answers that chance alone would give."""
 
 import numpy as np
 import pytest
@@ -19,10 +19,10 @@ def knocked(degrees):
 
 def with_two_views_only(lines, rows):
     """The same tracks, without their third view in some rows."""
-    seen = lines.seen.copy()
-    seen[rows] = [True, True, False]
+    visible = lines.seen.copy()
+    visible[rows] = [True, True, False]
     return LineObservations(
-        lines.views, lines.fragments_px, lines.covariance_px2, seen, lines.lines_mm
+        lines.views, lines.fragments_px, lines.covariance_px2, visible, lines.lines_mm
     )
 
 
@@ -50,7 +50,7 @@ def test_rounds_never_lower_the_posterior():
 
 @pytest.fixture(scope="module")
 def right():
-    """Lines that any rig is matched to, and the answer."""
+    """A matcher with the right lines for any rig, and the refined answer."""
     lines, _, _ = made_tracks(73, 100, hidden=0.0)
     calls = []
 
@@ -87,7 +87,7 @@ def test_a_knocked_camera_need_not_aim_at_the_origin(right):
 
 
 def test_matches_that_agree_with_any_rig_are_refused():
-    """What a matcher finds by chance fits the rig that it was given, wherever that stands."""
+    """Matches made by chance agree with the assumed rig, wherever that rig stands."""
     lines, ends, _ = made_tracks(74, 100, hidden=0.0)
 
     def chance(rig):

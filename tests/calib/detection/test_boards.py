@@ -1,4 +1,4 @@
-"""Boards are found and labelled whichever way they lie; what cannot be labelled is refused."""
+"""Boards are found and labelled in any orientation, and ambiguous ones are refused."""
 
 import cv2
 import numpy as np
@@ -28,14 +28,14 @@ def polygons(board):
 
 
 def picture(board, turn_deg=20.0, size=(480, 640), figures=None, slant=0.001):
-    """(picture, place in mm to pixel) of a board drawn from its figures, slanted."""
+    """Slanted image of a board drawn from its figures, and the function from mm to pixels."""
     angle, scale = np.radians(turn_deg), 4.2
     turn = scale * np.array([[np.cos(angle), np.sin(angle)], [np.sin(angle), -np.cos(angle)]])
 
-    def pixels(place_mm):
-        place = np.asarray(place_mm, dtype=float)
-        share = 1 + slant * place[..., :1]
-        return place @ turn.T / share + np.array([size[1], size[0]]) / 2 - 0.5
+    def pixels(points_mm):
+        point_mm = np.asarray(points_mm, dtype=float)
+        share = 1 + slant * point_mm[..., :1]
+        return point_mm @ turn.T / share + np.array([size[1], size[0]]) / 2 - 0.5
 
     large = np.full((FINER * size[0], FINER * size[1]), 225, np.uint8)
     drawing = board.drawing() if figures is None else [Polygon(each, True) for each in figures]
@@ -52,14 +52,16 @@ def picture(board, turn_deg=20.0, size=(480, 640), figures=None, slant=0.001):
 def test_a_board_is_found_where_it_was_drawn(name, turn_deg):
     board = BOARDS[name]
     image, pixels = picture(board, turn_deg)
-    found = detect_target(image, board)
-    choices = [found.circle_index]
-    choices += [] if found.ambiguity is None else list(found.ambiguity)
+    detection = detect_target(image, board)
+    choices = [detection.circle_index]
+    choices += [] if detection.ambiguity is None else list(detection.ambiguity)
     assert len(choices) == (2 if name == "symmetric" else 1)
-    misses = [np.abs(found.centres_px - pixels(board.centres_mm[index])).max() for index in choices]
+    misses = [
+        np.abs(detection.centres_px - pixels(board.centres_mm[index])).max() for index in choices
+    ]
     assert min(misses) < 0.25
-    assert len(found) == len(board)
-    sigma = np.sqrt(np.linalg.eigvalsh(found.covariance_px2))
+    assert len(detection) == len(board)
+    sigma = np.sqrt(np.linalg.eigvalsh(detection.covariance_px2))
     assert (sigma > 0).all()
     assert (sigma < 0.2).all()
 
@@ -67,8 +69,8 @@ def test_a_board_is_found_where_it_was_drawn(name, turn_deg):
 def test_outer_rows_of_a_slanted_chessboard_are_where_they_were_drawn():
     board = Chessboard(rows=6, columns=9, square_mm=5.0)
     image, pixels = picture(board, slant=0.006)
-    found = detect_target(image, board)
-    miss = np.abs(found.centres_px - pixels(board.centres_mm[found.circle_index])).max()
+    detection = detect_target(image, board)
+    miss = np.abs(detection.centres_px - pixels(board.centres_mm[detection.circle_index])).max()
     # Edges are drawn at a sixth of a pixel; OpenCV's search alone is .74 px off.
     assert miss < 0.15
 
@@ -79,9 +81,9 @@ def test_a_covered_board_is_found_and_a_mirrored_one_refused(name):
     image, pixels = picture(board)
     covered = image.copy()
     covered[:, :280] = 128
-    found = detect_target(covered, board)
-    assert 6 <= len(found) < len(board)
-    miss = np.abs(found.centres_px - pixels(board.centres_mm[found.circle_index])).max()
+    detection = detect_target(covered, board)
+    assert 6 <= len(detection) < len(board)
+    miss = np.abs(detection.centres_px - pixels(board.centres_mm[detection.circle_index])).max()
     assert miss < 0.25
     with pytest.raises(DetectionError, match="as in a mirror"):
         detect_target(image[:, ::-1].copy(), board)
@@ -92,9 +94,11 @@ def test_tags_that_touch_at_their_corners_are_told_apart():
     image, pixels = picture(board)
     image = cv2.GaussianBlur(image, (0, 0), 0.8)
     image = image + np.random.default_rng(0).normal(0, 4.0, image.shape)
-    found = detect_target(np.clip(image, 0, 255).astype(np.uint8), board)
-    assert len(found) > 0.9 * len(board)
-    miss = np.linalg.norm(found.centres_px - pixels(board.centres_mm[found.circle_index]), axis=1)
+    detection = detect_target(np.clip(image, 0, 255).astype(np.uint8), board)
+    assert len(detection) > 0.9 * len(board)
+    miss = np.linalg.norm(
+        detection.centres_px - pixels(board.centres_mm[detection.circle_index]), axis=1
+    )
     assert np.quantile(miss, 0.95) < 0.3
 
 
@@ -110,35 +114,37 @@ def test_tags_that_are_printed_turned_are_the_same_board(quarters):
         middle = board.tags_mm[tag]
         figures.append((corners - middle) @ turn.T + middle if of_tag else corners)
     image, pixels = picture(board, figures=figures)
-    found = detect_target(image, board)
-    assert len(found) == len(board)
-    assert np.abs(found.centres_px - pixels(board.centres_mm[found.circle_index])).max() < 0.25
+    detection = detect_target(image, board)
+    assert len(detection) == len(board)
+    assert (
+        np.abs(detection.centres_px - pixels(board.centres_mm[detection.circle_index])).max() < 0.25
+    )
 
 
 def test_a_tag_of_another_board_in_view_is_left_out():
     board = BOARDS["aprilgrid"]
     image, pixels = picture(board, 0.0)
-    own = [np.rint(pixels(middle)).astype(int) for middle in board.tags_mm[[0, 5]]]
+    tag_middles_px = [np.rint(pixels(middle)).astype(int) for middle in board.tags_mm[[0, 5]]]
     half = int(np.rint(0.5 * board.tag_mm * 4.2)) + 3
-    (u, v), (to_u, to_v) = own
+    (u, v), (to_u, to_v) = tag_middles_px
     image[to_v - half : to_v + half, to_u - half : to_u + half] = image[
         v - half : v + half, u - half : u + half
     ]
-    found = detect_target(image, board)
-    assert not set(found.circle_index) & {*range(4), *range(20, 24)}
-    miss = np.abs(found.centres_px - pixels(board.centres_mm[found.circle_index])).max()
+    detection = detect_target(image, board)
+    assert not set(detection.circle_index) & {*range(4), *range(20, 24)}
+    miss = np.abs(detection.centres_px - pixels(board.centres_mm[detection.circle_index])).max()
     assert miss < 0.25
 
 
 @pytest.mark.parametrize("name", BOARDS)
 def test_rows_of_two_moments_and_pixels_of_several_colours_are_refused_in_boards_and_sets(name):
     board = BOARDS[name]
-    seen, _ = picture(board)
-    fields, mosaic = seen.copy(), seen.copy()
-    fields[1::2] = np.roll(seen, 2, axis=1)[1::2]
+    plain, _ = picture(board)
+    fields, mosaic = plain.copy(), plain.copy()
+    fields[1::2] = np.roll(plain, 2, axis=1)[1::2]
     mosaic[::2, ::2] //= 2
     for target in (board, BoardSet([board])):
-        assert len(detect_target(seen, target)) > 0
+        assert len(detect_target(plain, target)) > 0
         with pytest.raises(DetectionError, match="interlaced"):
             detect_target(fields, target)
         with pytest.raises(DetectionError, match="raw mosaic"):
@@ -175,7 +181,7 @@ def test_boards_that_cannot_be_are_refused():
     ):
         with pytest.raises(InputError, match="board"):
             Chessboard(**wrong)
-    for wrong, says in (
+    for wrong, message in (
         ({"rows": 1, "columns": 1}, "two tags"),
         ({"spacing": 2.0}, "spacing of 2"),
         ({"border": 3}, "border of 3 cells"),
@@ -183,7 +189,7 @@ def test_boards_that_cannot_be_are_refused():
         ({"tag_mm": 0.0}, "give a positive side"),
         ({"dictionary": "9x9"}, "unknown"),
     ):
-        with pytest.raises(InputError, match=says):
+        with pytest.raises(InputError, match=message):
             AprilGrid(**{"rows": 3, "columns": 3, "tag_mm": 20.0, **wrong})
     with pytest.raises(InputError, match="smaller than the squares"):
         Charuco(rows=5, columns=5, square_mm=10.0, marker_mm=10.0)

@@ -1,5 +1,4 @@
-"""Circles that a sheet cannot show there, or not of that shape, are let in by no gate; those that
-are lie where they claim to."""
+"""The gates admit only circles of the expected position and shape, and these have true sigmas."""
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ PX_PER_MM = np.array([[3.0, 0.4], [-0.2, 2.5]])
 
 
 def exact_circles() -> Ellipses:
-    """Of a sheet under an affine map, without error."""
+    """Exact ellipses of a sheet under an affine map."""
     count = len(SHEET.centres_mm)
     one, nothing = np.ones(count), np.zeros(count)
     radius = np.asarray(SHEET.radius_mm)[:, None, None]
@@ -32,12 +31,12 @@ def exact_circles() -> Ellipses:
 
 def test_a_circle_a_radius_from_its_place_is_not_plausible() -> None:
     exact = exact_circles()
-    places = exact.centres_px.copy()
+    centres_px = exact.centres_px.copy()
     # In units of the ellipse, of which half a one is allowed.
     root = np.linalg.cholesky(exact.shape_px2)
-    places[3] += root[3] @ [0.6, 0.0]
-    places[4] += root[4] @ [0.0, 0.4]
-    plausible = are_plausible(exact, places, exact.shape_px2, 0.5)
+    centres_px[3] += root[3] @ [0.6, 0.0]
+    centres_px[4] += root[4] @ [0.0, 0.4]
+    plausible = are_plausible(exact, centres_px, exact.shape_px2, 0.5)
     assert np.flatnonzero(~plausible).tolist() == [3]
 
 
@@ -58,11 +57,13 @@ def light():
 
 @pytest.mark.parametrize("deliver", [white, shared, overexposed, sharpened])
 def test_circles_are_off_by_what_they_claim(light, deliver):
-    """Whatever the noise, and the light that the model of a circle has not. To a quarter: sigmas of
-    64 circles together are known to .06."""
-    found = detect_pattern(deliver(light, np.random.default_rng(3)) / 255, SHEET)
-    camera, index = camera_of(TABLE_1["left"]), found.circle_index
-    places = zip(SHEET.centres_mm[index], SHEET.radius_mm[index], strict=True)
-    off = found.centres_px - [image_of_circle_centre(camera, *place) for place in places]
-    squared = np.einsum("ni,nij,nj->n", off, np.linalg.inv(found.covariance_px2), off)
+    """The normalised errors are 1 within a quarter, for any noise and light.
+
+    The sigmas of 64 circles together are known to .06.
+    """
+    detection = detect_pattern(deliver(light, np.random.default_rng(3)) / 255, SHEET)
+    camera, index = camera_of(TABLE_1["left"]), detection.circle_index
+    circles = zip(SHEET.centres_mm[index], SHEET.radius_mm[index], strict=True)
+    off = detection.centres_px - [image_of_circle_centre(camera, *circle) for circle in circles]
+    squared = np.einsum("ni,nij,nj->n", off, np.linalg.inv(detection.covariance_px2), off)
     assert 0.75 < np.sqrt(np.mean(squared) / 2) < 1.25

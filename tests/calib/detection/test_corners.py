@@ -1,4 +1,4 @@
-"""Corners lie where they were drawn to within what they claim, whatever the picture's noise."""
+"""Errors of corners follow their reported covariance, for any noise of the image."""
 
 import cv2
 import numpy as np
@@ -14,30 +14,30 @@ QUARTER = 1.25
 
 
 def picture(*, blur_px=0.8, slope=0.0, seed=0):
-    """(light without noise, corners) of tiles with a corner each, of any turn, drawn finer."""
+    """(noiseless image, corners) of tiles with a corner each, at random angles, supersampled."""
     random = np.random.default_rng(seed)
     fine = np.arange(FINER * TILE_PX)
-    at = (fine + 0.5) / FINER - 0.5
-    places, rows = [], []
+    pixel = (fine + 0.5) / FINER - 0.5
+    corners_px, rows = [], []
     for row in range(EACH_WAY):
         tiles = []
         for column in range(EACH_WAY):
-            place = (TILE_PX - 1) / 2 + random.uniform(-0.5, 0.5, 2)
+            corner_px = (TILE_PX - 1) / 2 + random.uniform(-0.5, 0.5, 2)
             first = random.uniform(0, np.pi)
             between = random.uniform(np.radians(60), np.radians(120))
-            u, v = at[None] - place[0], at[:, None] - place[1]
+            u, v = pixel[None] - corner_px[0], pixel[:, None] - corner_px[1]
             # By how much of a fine pixel lies on either side of each edge.
             one, other = (
                 np.clip(2 * FINER * (np.cos(turn) * u + np.sin(turn) * v), -1, 1)
                 for turn in (first, first + between)
             )
             tiles.append(0.475 + 0.325 * one * other)
-            places.append(place + TILE_PX * np.array([column, row]))
+            corners_px.append(corner_px + TILE_PX * np.array([column, row]))
         rows.append(np.concatenate(tiles, axis=1))
     sharp = cv2.GaussianBlur(np.concatenate(rows), (0, 0), FINER * blur_px)
     side = EACH_WAY * TILE_PX
     light = sharp.reshape(side, FINER, side, FINER).mean(axis=(1, 3))
-    return light * (1 + slope * np.linspace(-1, 1, side)), np.array(places)
+    return light * (1 + slope * np.linspace(-1, 1, side)), np.array(corners_px)
 
 
 def white(light, random):
@@ -45,17 +45,17 @@ def white(light, random):
 
 
 def shared(light, random):
-    """Noise that neighbours share, as where a camera removes it or makes colours of a mosaic."""
+    """Image with noise that neighbours share, as denoising and demosaicing make it."""
     return 255 * light + cv2.GaussianBlur(random.normal(0, 8, light.shape), (0, 0), 0.6)
 
 
 def of_light(light, random):
-    """The variance is as the light, as that of electrons is."""
+    """Image with a noise variance in proportion to the light, as shot noise has."""
     return 255 * light + random.normal(0, 1, light.shape) * np.sqrt(60 * light)
 
 
 def of_edges(light, random):
-    """More noise on edges, as where air flickers or a model is wrong there."""
+    """Image with more noise on edges, as from flickering air or a wrong model there."""
     slope = np.hypot(*np.gradient(light))
     return 255 * light + random.normal(0, 1, light.shape) * (1 + 15 * slope)
 
@@ -77,7 +77,7 @@ LOOKS = [{}, {"blur_px": 0.3}, {"blur_px": 1.6, "slope": 0.3}]
 OF_NOISE = [
     (deliver, look) for deliver in (white, shared, of_light, of_edges, bent) for look in LOOKS
 ]
-# What the model has not of these is symmetric about a corner.
+# The effects that the model omits are symmetric about a corner.
 OF_LIGHT = [(overexposed, {}), (sharpened, {})]
 
 
@@ -88,15 +88,17 @@ def test_corners_are_off_by_what_they_claim(deliver, look):
     squares = []
     for seed in (1, 5):
         grey = deliver(light, np.random.default_rng(seed))
-        found = fit_corners(search_image(grey), start, np.full(len(corners), RADIUS_PX), TUNING)
-        off = found.corners_px - corners
-        squares.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(found.covariance_px2), off))
+        fit = fit_corners(search_image(grey), start, np.full(len(corners), RADIUS_PX), TUNING)
+        off = fit.corners_px - corners
+        squares.append(np.einsum("ni,nij,nj->n", off, np.linalg.inv(fit.covariance_px2), off))
     assert 1 / QUARTER < np.sqrt(np.mean(squares) / 2) < QUARTER
 
 
 def test_a_window_without_information_spoils_no_other():
-    """One window of a constant grey, or with a pixel that is off by far: the others stay as known
-    as they were, and every covariance is finite."""
+    """One window is a constant grey or has one wild pixel.
+
+    The other windows keep their covariance, and every covariance is finite.
+    """
     light, corners = picture()
     grey = white(light, np.random.default_rng(1))
     radius_px = np.full(len(corners), RADIUS_PX)
@@ -109,16 +111,16 @@ def test_a_window_without_information_spoils_no_other():
         after = fit_corners(search_image(spoilt), corners, radius_px, TUNING)
         assert np.isfinite(after.covariance_px2).all()
         assert np.linalg.eigvalsh(after.covariance_px2).min() > 0
-        near = np.linalg.norm(corners - corners[5], axis=1) < 40
+        is_neighbour = np.linalg.norm(corners - corners[5], axis=1) < 40
         ratio = np.linalg.det(after.covariance_px2) / np.linalg.det(before.covariance_px2)
-        assert np.all(np.abs(np.log(ratio[~near])) < np.log(2.0))
+        assert np.all(np.abs(np.log(ratio[~is_neighbour])) < np.log(2.0))
 
 
 def test_where_there_is_no_corner_the_start_is_kept_and_says_little():
     grey = np.full((60, 90), 120.0)
     grey[:, :60] += np.random.default_rng(0).normal(0, 3, (60, 60))
     start = np.array([[20.3, 20.6], [40.2, 41.0], [0.5, 58.0], [75.1, 30.0]])
-    found = fit_corners(search_image(grey), start, np.full(4, RADIUS_PX), TUNING)
-    assert np.linalg.norm(found.corners_px - start, axis=1).max() < 0.5 * RADIUS_PX
-    assert np.isfinite(found.covariance_px2).all()
-    assert np.sqrt(np.linalg.eigvalsh(found.covariance_px2)[:, 1]).min() > 0.5
+    fit = fit_corners(search_image(grey), start, np.full(4, RADIUS_PX), TUNING)
+    assert np.linalg.norm(fit.corners_px - start, axis=1).max() < 0.5 * RADIUS_PX
+    assert np.isfinite(fit.covariance_px2).all()
+    assert np.sqrt(np.linalg.eigvalsh(fit.covariance_px2)[:, 1]).min() > 0.5

@@ -23,10 +23,10 @@ def mapping() -> PlaneMapping:
 
 
 def drawn_lines() -> SearchImage:
-    """An image of the two lines alone."""
+    """Image of the two lines alone."""
     rows, columns = np.mgrid[:600, :600]
-    place = np.stack([columns, rows], axis=-1) - MIDDLE_PX
-    x, y = np.moveaxis(place @ ROTATION, -1, 0)
+    offset_px = np.stack([columns, rows], axis=-1) - MIDDLE_PX
+    x, y = np.moveaxis(offset_px @ ROTATION, -1, 0)
     half_px = 0.5 * SHEET.line_width_mm * PX_PER_MM
     along_x, along_y = (
         1 / (1 + np.exp(1.7 * (np.abs(across) - half_px) / BLUR_PX)) for across in (y, x)

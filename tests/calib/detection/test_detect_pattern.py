@@ -1,4 +1,4 @@
-"""Laws of the detection: what may be done to a picture without changing what is found."""
+"""Laws of the detection: changes of the image that leave the detected circles unchanged."""
 
 import jax
 import numpy as np
@@ -20,8 +20,8 @@ CAMERA = table1_rig()["right"]
 
 
 def true_centres(camera: Camera, pattern: Pattern) -> np.ndarray:
-    each = jax.jit(jax.vmap(image_of_circle_centre, in_axes=(None, 0, 0)))
-    return np.asarray(each(camera, pattern.centres_mm, pattern.radius_mm))
+    centres_of_circles = jax.jit(jax.vmap(image_of_circle_centre, in_axes=(None, 0, 0)))
+    return np.asarray(centres_of_circles(camera, pattern.centres_mm, pattern.radius_mm))
 
 
 def errors_px(detection: Detection, camera: Camera, pattern: Pattern) -> np.ndarray:
@@ -41,27 +41,29 @@ def picture() -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def found(picture) -> Detection:
+def detection(picture) -> Detection:
     return detect_pattern(picture, SHEET)
 
 
-def test_all_circles_are_found_where_they_are(found):
-    error = errors_px(found, CAMERA, SHEET)
-    assert len(found) == len(SHEET)
-    assert found.ambiguity is None
+def test_all_circles_are_found_where_they_are(detection):
+    error = errors_px(detection, CAMERA, SHEET)
+    assert len(detection) == len(SHEET)
+    assert detection.ambiguity is None
     assert np.sqrt(np.mean(error**2)) < 0.006
     assert np.abs(error).max() < 0.03
 
 
-def test_lines_lie_where_they_are(found):
+def test_lines_lie_where_they_are(detection):
     for axis in (0, 1):
         ends_mm = np.zeros((2, 4))
         ends_mm[:, 3] = 1.0
         ends_mm[:, axis] = (-80.0, 80.0)
         image = ends_mm @ np.asarray(CAMERA.matrix_px).T
-        offset = (image[:, :2] / image[:, 2:]) @ found.lines_px[axis, :2] + found.lines_px[axis, 2]
+        offset = (image[:, :2] / image[:, 2:]) @ detection.lines_px[axis, :2] + detection.lines_px[
+            axis, 2
+        ]
         assert np.abs(offset).max() < 0.05
-    np.testing.assert_allclose(np.linalg.norm(found.lines_px[:, :2], axis=1), 1.0)
+    np.testing.assert_allclose(np.linalg.norm(detection.lines_px[:, :2], axis=1), 1.0)
 
 
 def test_errors_are_as_large_as_claimed():
@@ -89,17 +91,17 @@ def test_errors_of_large_circles_are_as_large_as_claimed():
     assert scaled.max() < 20.0
 
 
-def test_quarter_turns_of_the_picture_keep_every_label(picture, found):
+def test_quarter_turns_of_the_picture_keep_every_label(picture, detection):
     width = picture.shape[1]
     turned = by_index(detect_pattern(np.rot90(picture), SHEET))
     back = np.stack([width - 1 - turned[:, 1], turned[:, 0]], axis=1)
-    np.testing.assert_allclose(back, by_index(found), atol=5e-3)
+    np.testing.assert_allclose(back, by_index(detection), atol=5e-3)
 
 
-def test_a_shifted_picture_shifts_the_centres(picture, found):
+def test_a_shifted_picture_shifts_the_centres(picture, detection):
     shifted = detect_pattern(np.pad(picture, ((7, 0), (13, 0)), mode="edge"), SHEET)
     np.testing.assert_allclose(
-        by_index(shifted) - by_index(found), [[13.0, 7.0]] * len(SHEET), atol=5e-3
+        by_index(shifted) - by_index(detection), [[13.0, 7.0]] * len(SHEET), atol=5e-3
     )
 
 
@@ -116,9 +118,9 @@ def test_a_shifted_picture_shifts_the_centres(picture, found):
     ],
     ids=["16 bit", "unit", "gain and offset", "negative", "colour", "alpha", "one channel"],
 )
-def test_grey_scale_does_not_matter(picture, found, change):
-    again = detect_pattern(change(picture), SHEET)
-    np.testing.assert_allclose(by_index(again), by_index(found), atol=5e-3)
+def test_grey_scale_does_not_matter(picture, detection, change):
+    other = detect_pattern(change(picture), SHEET)
+    np.testing.assert_allclose(by_index(other), by_index(detection), atol=5e-3)
 
 
 def test_a_mirrored_picture_is_refused(picture):
@@ -155,8 +157,8 @@ def test_no_sheet_is_said_to_be_none(kind):
         detect_pattern(empty, SHEET)
 
 
-def test_a_corner_too_small_to_name_its_place_is_refused(picture, found):
-    first = found.centres_px[np.isin(found.circle_index, [0, 1, 8, 9])]
+def test_a_corner_too_small_to_name_its_place_is_refused(picture, detection):
+    first = detection.centres_px[np.isin(detection.circle_index, [0, 1, 8, 9])]
     low, high = first.min(axis=0).astype(int) - 16, first.max(axis=0).astype(int) + 16
     cut = np.full_like(picture, 228)
     cut[low[1] : high[1], low[0] : high[0]] = picture[low[1] : high[1], low[0] : high[0]]

@@ -1,4 +1,4 @@
-"""How light changes over a sheet is read where no line darkens the paper."""
+"""The slope of the light over a sheet is estimated only from paper that no line darkens."""
 
 import numpy as np
 import pytest
@@ -25,12 +25,12 @@ def test_circles_on_the_crossed_lines_are_beside_them() -> None:
 def test_paper_that_lines_darken_bends_no_light(slope: tuple[float, float]) -> None:
     clear = are_clear_of_lines(SHEET, np.arange(len(SHEET)), TUNING)
     light = 230.0 * (1.0 + PLACE_PX @ np.array(slope))
-    found, unsure = light_slope(PLACE_PX, np.where(clear, light, 0.97 * light), clear, TUNING)
-    np.testing.assert_allclose(found, np.array(slope) * (230.0 / light)[:, None], atol=1e-9)
+    estimate, unsure = light_slope(PLACE_PX, np.where(clear, light, 0.97 * light), clear, TUNING)
+    np.testing.assert_allclose(estimate, np.array(slope) * (230.0 / light)[:, None], atol=1e-9)
     assert unsure.max() < 1e-9
 
 
 def test_all_are_believed_where_too_few_are_clear() -> None:
     light, few = 230.0 * (1.0 + 1e-3 * PLACE_PX[:, 0]), np.arange(len(PLACE_PX)) < 3
-    found, _ = light_slope(PLACE_PX, light, few, TUNING)
-    np.testing.assert_allclose(found[:, 0], 0.23 / light, rtol=1e-6)
+    estimate, _ = light_slope(PLACE_PX, light, few, TUNING)
+    np.testing.assert_allclose(estimate[:, 0], 0.23 / light, rtol=1e-6)

@@ -1,4 +1,4 @@
-"""A board with markers that is almost the stated one is named by the layout that fits."""
+"""A board with markers that differs from the stated one is named by the layout that fits."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ from trinoc.errors import CalibrationError, DetectionError
 
 CHARUCO = Charuco(rows=6, columns=8, square_mm=11.0, marker_mm=8.25, dictionary="4x4_50")
 APRILGRID = AprilGrid(rows=3, columns=4, tag_mm=18.0)
-# How the print differs from the stated board, and the words for it.
+# Differences between the print and the stated board, by the words of the message.
 PRINTS = {
     "legacy=yes": {"legacy": True},
     "rows and columns exchanged (rows=8 columns=6)": {"rows": 8, "columns": 6},
@@ -59,7 +59,7 @@ def refusal(image, board):
 
 @pytest.fixture
 def searches(monkeypatch):
-    """The images that were searched for markers to explain a refusal."""
+    """List of the images that were searched for markers to explain a refusal."""
     calls = []
 
     def counted(find):
@@ -74,16 +74,16 @@ def searches(monkeypatch):
     return calls
 
 
-@pytest.mark.parametrize("words", PRINTS)
-def test_another_print_than_the_stated_one_is_named_and_then_fits(words, searches):
-    printed = replace(CHARUCO, **PRINTS[words])
+@pytest.mark.parametrize("changes", PRINTS)
+def test_another_print_than_the_stated_one_is_named_and_then_fits(changes, searches):
+    printed = replace(CHARUCO, **PRINTS[changes])
     image, pixels = picture(printed)
     sentence = refusal(image, CHARUCO)
-    assert f"fits with {words}" in sentence
+    assert f"fits with {changes}" in sentence
     mirror = " as in a mirror" if printed.mirrored else ""
     assert f"24 markers of {printed.dictionary} are visible{mirror}; " in sentence
     assert len(searches) <= MOST_SEARCHES
-    # What is named is what was printed.
+    # The named board is the printed one.
     detection = detect_target(image, printed)
     corners = printed.centres_mm[detection.circle_index]
     assert len(detection) == len(printed)
@@ -102,14 +102,14 @@ def test_a_pattern_that_differs_by_a_shift_is_named(legacy):
     assert f"fits with legacy={'yes' if legacy else 'no'}" in sentence
 
 
-@pytest.mark.parametrize("words", [words for words in PRINTS if "=yes" in words])
-def test_a_plain_print_is_named_where_another_one_is_stated(words):
+@pytest.mark.parametrize("changes", [changes for changes in PRINTS if "=yes" in changes])
+def test_a_plain_print_is_named_where_another_one_is_stated(changes):
     image, _ = picture(CHARUCO)
-    stated = replace(CHARUCO, **PRINTS[words])
+    stated = replace(CHARUCO, **PRINTS[changes])
     reading = find_marker_reading(image, stated, TUNING)
     assert reading is not None
     assert reading.board == replace(CHARUCO, name=stated.name)
-    assert words.replace("=yes", "=no").replace("8 columns=6", "6 columns=8") in refusal(
+    assert changes.replace("=yes", "=no").replace("8 columns=6", "6 columns=8") in refusal(
         image, stated
     )
 
@@ -144,11 +144,11 @@ GRIDS = {
 }
 
 
-@pytest.mark.parametrize("words", GRIDS)
-def test_another_grid_of_tags_is_named_and_then_fits(words, searches):
-    printed = replace(APRILGRID, **GRIDS[words])
+@pytest.mark.parametrize("changes", GRIDS)
+def test_another_grid_of_tags_is_named_and_then_fits(changes, searches):
+    printed = replace(APRILGRID, **GRIDS[changes])
     image, _ = picture(printed)
-    assert f"fits with {words}" in refusal(image, APRILGRID)
+    assert f"fits with {changes}" in refusal(image, APRILGRID)
     assert len(searches) <= 2
     assert len(detect_target(image, printed)) == len(printed)
 
@@ -175,7 +175,7 @@ def test_nothing_is_claimed_without_markers_or_where_the_stated_board_is_in_view
 
 @pytest.mark.parametrize("look", ["inverted", "mirrored"])
 def test_corners_of_another_print_are_those_of_the_plain_one(look):
-    """White for black, and the image of a mirror, leave corners where they are."""
+    """Neither exchanged black and white nor a mirror moves the corners."""
     image, _ = picture(CHARUCO)
     plain = detect_target(image, CHARUCO)
     other = 255 - image if look == "inverted" else np.ascontiguousarray(image[:, ::-1])
@@ -214,15 +214,15 @@ def shown(board, turns_deg):
     return [picture(board, turn_deg)[0] for turn_deg in turns_deg]
 
 
-@pytest.mark.parametrize("words", ["legacy=yes", "inverted=yes", "inverted=yes and legacy=yes"])
-def test_a_recording_of_the_same_sheet_is_read_as_it_was_printed(words):
-    printed = replace(CHARUCO, **PRINTS[words])
+@pytest.mark.parametrize("changes", ["legacy=yes", "inverted=yes", "inverted=yes and legacy=yes"])
+def test_a_recording_of_the_same_sheet_is_read_as_it_was_printed(changes):
+    printed = replace(CHARUCO, **PRINTS[changes])
     blank = np.full((480, 640), 90, np.uint8)
     images = [blank] * 5 + shown(printed, (10.0, 80.0))
     boards = find_boards({"left": images, "right": images}, CHARUCO)
     assert boards.target == replace(printed, name=CHARUCO.name)
-    assert f"with {words}" in boards.remarks[0]
-    assert [len(own) for own in boards.detections.values()] == [2, 2]
+    assert f"with {changes}" in boards.remarks[0]
+    assert [len(camera_detections) for camera_detections in boards.detections.values()] == [2, 2]
     # The name of the stated board stays in the failures of the others.
     assert len(boards.failures) == 10
 
@@ -257,7 +257,7 @@ def test_a_two_sided_board_is_a_set_of_a_front_and_a_mirrored_back():
 
 @pytest.mark.parametrize("beyond_px", [0, 1, 2, 4])
 def test_corners_at_the_very_edge_of_a_picture_are_right_or_left_out(beyond_px):
-    """Their windows hold hardly a pixel that has an opposite one, which tells noise from misfit."""
+    """Their windows have hardly any pair of opposite pixels, which separates noise from misfit."""
     image, pixels = picture(CHARUCO, 0.0, slant=0.0)
     corners_px = pixels(CHARUCO.centres_mm)
     # The last column of corners lies so many pixels from the right edge.
@@ -276,8 +276,10 @@ def test_a_marker_of_another_sheet_does_not_shift_the_first_one():
     printed = replace(CHARUCO, dictionary="4x4_1000", first=95)
     image, _ = picture(printed)
     grey = np.asarray(image, dtype=np.uint8)
-    seen = marker_readings._find_markers(grey, printed, opencv_dictionary(printed.dictionary))
-    markers = {number: corners for number, corners in seen.items() if number < 95 + 20}
+    all_markers = marker_readings._find_markers(
+        grey, printed, opencv_dictionary(printed.dictionary)
+    )
+    markers = {number: corners for number, corners in all_markers.items() if number < 95 + 20}
     markers[5] = markers[95] + 300.0
     stated = replace(printed, first=300)
     readings = list(marker_readings._read_other_first(markers, stated, TUNING))

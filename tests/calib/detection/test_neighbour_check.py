@@ -1,4 +1,4 @@
-"""Corners that do not lie where their neighbours put them are found, and no others."""
+"""The check finds exactly the corners that deviate from the prediction by their neighbours."""
 
 import numpy as np
 import pytest
@@ -53,13 +53,13 @@ def test_a_part_of_the_board_with_gaps_is_tested_too():
 
 
 def test_the_prediction_has_the_stated_noise():
-    """Predicted less observed has the standard deviation `gain` times that of a corner."""
+    """Prediction minus observation has `gain` times the standard deviation of a corner."""
     ideal = image_of(BOARD, noise_px=0.0, tilt=0.0, bend=0.0)
     random, squares = np.random.default_rng(0), []
     for _ in range(300):
         noisy = ideal + random.normal(0, 0.5, ideal.shape)
-        found = predict_from_neighbours(BOARD, noisy)
-        squares.append(np.sum((found.px - noisy) ** 2, axis=1) / found.gain**2)
+        prediction = predict_from_neighbours(BOARD, noisy)
+        squares.append(np.sum((prediction.px - noisy) ** 2, axis=1) / prediction.gain**2)
     sigma = np.sqrt(np.mean(squares, axis=0) / 2)
     assert np.all(np.abs(sigma / 0.5 - 1) < 0.15)
     assert abs(np.mean(sigma) / 0.5 - 1) < 0.02

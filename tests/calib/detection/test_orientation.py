@@ -1,4 +1,4 @@
-"""A sheet that looks the same turned is not labelled by chance."""
+"""The labelling of a sheet with rotational symmetry is not chosen by chance."""
 
 import numpy as np
 import pytest
@@ -21,17 +21,17 @@ TURNS = np.stack([np.rot90(np.arange(25).reshape(5, 5), k).ravel() for k in rang
 
 
 def open_detection(name: str, turn: int, seed: int) -> Detection:
-    """What a detector reports that took the labelling `turn` quarter turns off the true one."""
+    """Detection with the labelling that is `turn` quarter turns off the true one."""
     camera = camera_of(TABLE_1[name])
-    seen = simulated_detection(camera, SHEET, seed=seed)
+    detection = simulated_detection(camera, SHEET, seed=seed)
     choices = np.roll(TURNS, -turn, axis=0)
     return Detection(
         circle_index=choices[0],
-        centres_px=seen.centres_px,
-        covariance_px2=seen.covariance_px2,
-        shape_px2=seen.shape_px2,
-        lines_px=seen.lines_px[::-1] if turn % 2 else seen.lines_px,
-        image_size_px=seen.image_size_px,
+        centres_px=detection.centres_px,
+        covariance_px2=detection.covariance_px2,
+        shape_px2=detection.shape_px2,
+        lines_px=detection.lines_px[::-1] if turn % 2 else detection.lines_px,
+        image_size_px=detection.image_size_px,
         ambiguity=choices[1:],
     )
 
@@ -61,8 +61,8 @@ def test_upright_takes_what_the_detector_put_first() -> None:
     result = calibrate_detections(
         detections((0, 0, 0)), SHEET, LENS, orientation="upright", systematics=EXACT
     )
-    found = np.reshape(result.values, (3, 4))
-    np.testing.assert_allclose(found, list(TABLE_1.values()), atol=0.05)
+    estimate = np.reshape(result.values, (3, 4))
+    np.testing.assert_allclose(estimate, list(TABLE_1.values()), atol=0.05)
 
 
 @pytest.mark.parametrize("turns", [(0, 1, 2), (3, 2, 1)])
@@ -72,8 +72,8 @@ def test_an_earlier_rig_tells_whichever_labelling_came_first(turns: tuple[int, i
     result = calibrate_detections(
         detections(turns), SHEET, LENS, orientation=earlier, systematics=EXACT
     )
-    found = np.reshape(result.values, (3, 4))
-    np.testing.assert_allclose(found, list(TABLE_1.values()), atol=0.05)
+    estimate = np.reshape(result.values, (3, 4))
+    np.testing.assert_allclose(estimate, list(TABLE_1.values()), atol=0.05)
 
 
 def test_an_earlier_rig_that_does_not_tell_is_no_answer() -> None:

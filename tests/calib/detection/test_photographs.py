@@ -1,4 +1,4 @@
-"""Real photographs of circle grids, where TRINOC_DATA names the folder that holds them."""
+"""Detection in real photographs of circle grids, in the folder that TRINOC_DATA names."""
 
 import os
 from pathlib import Path
@@ -38,10 +38,10 @@ def test_photograph(name):
     assert len(detection) >= 0.9 * len(pattern)
     assert (detection.ambiguity is None) == name.startswith("opencv_acircles")
     # Neighbours on the sheet must be neighbours in the picture, whatever the lens.
-    place = np.full((len(pattern), 2), np.nan)
-    place[detection.circle_index] = detection.centres_px
-    apart = np.abs(pattern.lattice[:, None] - pattern.lattice[None]).sum(axis=2)
-    distance = np.linalg.norm(place[:, None] - place[None], axis=2)
-    beside, beyond = distance[apart == 1], distance[apart == 3]
-    assert np.nanmax(beside) < 2.5 * np.nanmin(beside)
-    assert np.nanmedian(beyond) > 1.8 * np.nanmedian(beside)
+    centres_px = np.full((len(pattern), 2), np.nan)
+    centres_px[detection.circle_index] = detection.centres_px
+    lattice_distance = np.abs(pattern.lattice[:, None] - pattern.lattice[None]).sum(axis=2)
+    distance = np.linalg.norm(centres_px[:, None] - centres_px[None], axis=2)
+    neighbours_px, thirds_px = distance[lattice_distance == 1], distance[lattice_distance == 3]
+    assert np.nanmax(neighbours_px) < 2.5 * np.nanmin(neighbours_px)
+    assert np.nanmedian(thirds_px) > 1.8 * np.nanmedian(neighbours_px)

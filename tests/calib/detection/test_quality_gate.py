@@ -1,4 +1,4 @@
-"""Is the model right, who moved, and what else is uncertain."""
+"""Tests of the model, of cameras that moved, and of further sources of uncertainty."""
 
 import jax
 import numpy as np
@@ -47,16 +47,16 @@ def rig_of(seed: int = 0) -> CalibrationResult:
 
 
 def test_a_right_model_is_not_accused() -> None:
-    found = []
+    p_values = []
     for seed in range(30):
         detection = simulated_detection(camera_of(TABLE_1["left"]), SHEET, seed=seed)
         result = calibrate_detections({"a": detection}, SHEET, LENS, systematics=EXACT)
-        found.extend(item.p_value for item in result.fits["a"].fixed_parameter_tests)
+        p_values.extend(item.p_value for item in result.fits["a"].fixed_parameter_tests)
     # Aim, focal length, aspect, radial distortion.
-    assert len(found) == 30 * 4
-    assert min(found) > 1e-4
+    assert len(p_values) == 30 * 4
+    assert min(p_values) > 1e-4
     # p-values of a right model are uniform.
-    assert 0.3 < np.mean(found) < 0.7
+    assert 0.3 < np.mean(p_values) < 0.7
 
 
 @pytest.mark.parametrize(
@@ -129,11 +129,11 @@ def test_swapped_pictures_are_named() -> None:
 
 
 def test_missing_and_new_cameras_are_told() -> None:
-    whole = rig_of()
+    full_rig = rig_of()
     one = calibrate_detections(
         {"x": detections_of(TABLE_1)["left"]}, SHEET, LENS, systematics=EXACT
     )
-    sentences = " ".join(compare_rigs(one, whole).sentences)
+    sentences = " ".join(compare_rigs(one, full_rig).sentences)
     assert '"x" is not in the earlier rig' in sentences
     assert "upper, right, left of the earlier rig are missing" in sentences
 
@@ -196,16 +196,16 @@ def test_points_scatter_as_the_rig_says() -> None:
     trials, point = 25, np.array([20.0, -10.0, 15.0])
     covariance = point_covariance(rig_of().rig, point)
     truth = {name: camera_of(values) for name, values in TABLE_1.items()}
-    seen = np.stack([np.asarray(jax.jit(project)(camera, point)) for camera in truth.values()])
-    places = []
+    pixels = np.stack([np.asarray(jax.jit(project)(camera, point)) for camera in truth.values()])
+    points_mm = []
     for k in range(trials):
         rig = rig_of(1000 + 10 * k).rig
         rows = []
-        for matrix, (u, v) in zip(rig.matrices_px, seen, strict=True):
+        for matrix, (u, v) in zip(rig.matrices_px, pixels, strict=True):
             rows += [u * matrix[2] - matrix[0], v * matrix[2] - matrix[1]]
         vector = np.linalg.svd(np.stack(rows))[2][-1]
-        places.append(vector[:3] / vector[3])
-    ratio = np.std(places, axis=0) / np.sqrt(np.diag(covariance))
+        points_mm.append(vector[:3] / vector[3])
+    ratio = np.std(points_mm, axis=0) / np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(ratio, 1.0, atol=0.45)
 
 

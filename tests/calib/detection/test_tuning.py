@@ -1,4 +1,4 @@
-"""A tuning that is passed holds for this call alone, through every part of a detection."""
+"""A tuning passed to a call holds for that call only, and in every part of a detection."""
 
 import numpy as np
 import pytest

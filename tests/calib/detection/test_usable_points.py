@@ -1,4 +1,4 @@
-"""Covariances that leave the room are finite, symmetric, positive; the rest is named or refused."""
+"""Covariances of detections are finite, symmetric and positive; bad ones are named or refused."""
 
 import os
 from pathlib import Path
@@ -39,11 +39,11 @@ def covariances():
 def test_a_place_whose_covariance_is_none_is_left_out_by_number(spoiled):
     covariance_px2 = covariances()
     covariance_px2[3] = spoiled
-    kept = remove_unusable(detection(covariance_px2), BOARD, TUNING)
-    assert 3 not in kept.circle_index
-    assert len(kept) == len(BOARD) - 1
-    assert are_positive(kept.covariance_px2).all()
-    assert "1 of 54 points" in kept.remarks[0]
+    usable = remove_unusable(detection(covariance_px2), BOARD, TUNING)
+    assert 3 not in usable.circle_index
+    assert len(usable) == len(BOARD) - 1
+    assert are_positive(usable.covariance_px2).all()
+    assert "1 of 54 points" in usable.remarks[0]
 
 
 def test_what_is_usable_stays_as_it_is():
@@ -56,8 +56,8 @@ def test_what_is_usable_stays_as_it_is():
 def test_asymmetry_by_rounding_goes():
     covariance_px2 = covariances()
     covariance_px2[:, 0, 1] = 1e-12
-    kept = remove_unusable(detection(covariance_px2), BOARD, TUNING)
-    assert np.array_equal(kept.covariance_px2, kept.covariance_px2.mT)
+    usable = remove_unusable(detection(covariance_px2), BOARD, TUNING)
+    assert np.array_equal(usable.covariance_px2, usable.covariance_px2.mT)
 
 
 def test_too_few_usable_points_are_refused():
@@ -84,8 +84,8 @@ def test_corners_of_real_images_lie_near_their_neighbours_and_have_sigmas(name):
     if not path.exists():
         path = next(FOLDER.glob(name.rpartition("/")[0] + "/*" + path.stem + ".*"))
     board = Chessboard(rows=rows, columns=columns, square_mm=25.0)
-    found = detect_target(read_image(path), board)
-    assert len(found) >= len(board) - 1
-    assert are_positive(found.covariance_px2).all()
-    sigma_px = np.sqrt(np.trace(found.covariance_px2, axis1=1, axis2=2) / 2)
+    corners = detect_target(read_image(path), board)
+    assert len(corners) >= len(board) - 1
+    assert are_positive(corners.covariance_px2).all()
+    sigma_px = np.sqrt(np.trace(corners.covariance_px2, axis1=1, axis2=2) / 2)
     assert 0.02 < np.median(sigma_px) < 0.3

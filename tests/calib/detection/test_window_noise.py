@@ -1,4 +1,4 @@
-"""Covariance of fitted positions: equal to that of the noise, for small windows and noisy ones."""
+"""The covariance of fitted positions equals that of the noise, in small and in noisy windows."""
 
 import numpy as np
 
@@ -29,16 +29,16 @@ def fitted_covariance(noise_sigma: np.ndarray, seed: int = 0) -> tuple[np.ndarra
     pixels = WindowPixels(side, of_each(column), of_each(row), np.ones(noise.shape, dtype=bool))
     centre = np.full((count, 2), float(RADIUS_PX))
     jacobian, covariance = of_each(jacobian).astype(np.float32), of_each(covariance)
-    found = sandwich_covariance(
+    estimate = sandwich_covariance(
         pixels, centre, residual.astype(np.float32), jacobian, covariance, (0, 1), TUNING
     )
-    return found, covariance[:, :2, :2]
+    return estimate, covariance[:, :2, :2]
 
 
 def test_a_position_has_the_variance_of_independent_noise_in_a_small_window() -> None:
     """The middle pixels of a window lie beside those across it, whose noise is the same."""
-    found, white = fitted_covariance(np.full(4000, 3.0))
-    ratio = found[:, 0, 0].mean() / (9.0 * white[0, 0, 0])
+    estimate, white = fitted_covariance(np.full(4000, 3.0))
+    ratio = estimate[:, 0, 0].mean() / (9.0 * white[0, 0, 0])
     # So few pixels tell the noise of one window poorly, and the limit of what one window counts
     # takes some hundredths off the mean.
     assert abs(ratio - 1) < 0.1
@@ -48,7 +48,7 @@ def test_a_far_noisier_window_has_a_larger_covariance_and_enlarges_no_other() ->
     alone, _ = fitted_covariance(np.ones(300))
     sigma = np.ones(300)
     sigma[7] = 20.0
-    found, _ = fitted_covariance(sigma)
-    enlarged = found[:, 0, 0] / alone[:, 0, 0]
+    estimate, _ = fitted_covariance(sigma)
+    enlarged = estimate[:, 0, 0] / alone[:, 0, 0]
     assert enlarged[7] > 10
     assert np.abs(np.delete(enlarged, 7) - 1).max() < 0.1

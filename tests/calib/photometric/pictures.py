@@ -1,4 +1,4 @@
-"""Pictures of the reference sheet, and the model's answer for their pixels."""
+"""Images of the reference sheet, and the model's prediction for their pixels."""
 
 from functools import partial
 
@@ -31,7 +31,7 @@ def pose_of(values: tuple[float, ...]) -> Pose:
 
 
 def state_at(values: tuple[float, ...]) -> ImageState:
-    """Of the camera that takes the pictures here."""
+    """Image state of the camera that takes the images here, at these pose values."""
     return ideal_state(pose_of(values), SIGMA_PX, INK / PAPER - 1, np.array([PAPER]))
 
 
@@ -42,7 +42,7 @@ def with_appearance(state: ImageState, **values_by_name: float) -> ImageState:
 
 
 def image_of(pattern: Pattern, values: tuple[float, ...], supersampling: int = 16) -> np.ndarray:
-    """A noiseless picture by the renderer, which knows nothing of the model."""
+    """Noiseless image by the renderer, which is independent of the model."""
     return render_sheet(
         pattern,
         camera_of(values[:4], LENS, (values[4], values[5])),
@@ -57,9 +57,9 @@ def pixels_of(
 ) -> tuple[Group, int]:
     """Pixels near edges of a sheet at RIGHT in double precision, and how many there are."""
     choice = select_pixels(pose_of(RIGHT), LENS.lens, pattern, LENS.image_size_px, REACH_PX)
-    chosen = choice.near_lines if near_line else choice.near_circles
-    capacity = max(len(chosen.row), 1)
-    return pad_group(chosen, picture, LENS.lens, pattern, capacity, np.float64), len(chosen.row)
+    selected = choice.near_lines if near_line else choice.near_circles
+    capacity = max(len(selected.row), 1)
+    return pad_group(selected, picture, LENS.lens, pattern, capacity, np.float64), len(selected.row)
 
 
 def picture_of(
@@ -79,10 +79,10 @@ def rows_of(
     drawing: InkDrawing,
     near_line: bool = False,
 ) -> PixelRows:
-    """Residuals and rows of a group; at another homography than the state's where it is given."""
-    place = sheet_from_camera(state.pose) if homography is None else homography
+    """Residuals and derivative rows of a group, by default at the homography of the state."""
+    sheet_homography = sheet_from_camera(state.pose) if homography is None else homography
     picture = picture_of(group, group, state=state)
-    return pixel_rows(place, state, group, picture, drawing, near_line)
+    return pixel_rows(sheet_homography, state, group, picture, drawing, near_line)
 
 
 def drawing_of(pattern: Pattern | SquareSheet) -> InkDrawing:

@@ -27,7 +27,7 @@ from trinoc.errors import InputError
 
 
 def test_grey_levels_of_paper_and_ink_do_not_follow_the_response() -> None:
-    """Light and ratio are told in grey levels: the response shapes what lies between."""
+    """Light and ratio are grey levels. The response shapes only the levels in between."""
     white, paper = jnp.asarray(255.0), jnp.asarray(200.0)
     for bend in (0.0, 0.7, 1.5):
         tone = Tone(*(jnp.asarray(value) for value in (-0.8, bend, 0.0, 0.0, 0.0)))
@@ -39,7 +39,7 @@ def test_grey_levels_of_paper_and_ink_do_not_follow_the_response() -> None:
 
 
 def share_of_edge(distance_px: float, kernel: Kernel, angle: float) -> float:
-    """Of a straight edge whose normal stands at `angle` from u, one mm a pixel."""
+    """Coverage of a straight edge whose normal has the angle `angle` to u, at one mm per pixel."""
     one = jnp.asarray(1.0)
     normal = np.array([np.cos(angle), np.sin(angle)])
     point = SheetPoint(
@@ -50,8 +50,8 @@ def share_of_edge(distance_px: float, kernel: Kernel, angle: float) -> float:
     return float(coverage(edge, jnp.asarray(0.0), kernel).share)
 
 
-def kernel_of(**given: float) -> Kernel:
-    values = dict.fromkeys(Kernel._fields, 0.0) | given
+def kernel_of(**nonzero: float) -> Kernel:
+    values = dict.fromkeys(Kernel._fields, 0.0) | nonzero
     return Kernel(**{name: jnp.asarray(value) for name, value in values.items()})
 
 
@@ -73,7 +73,7 @@ def test_kernel_of_a_motion_is_a_gaussian_along_a_line(angle_deg: float) -> None
 
 
 def test_kernel_of_a_disc_is_flat_topped() -> None:
-    """Against a Gaussian and a disc blurred numerically, by cumulants -R^4/16 and R^6/16 ."""
+    """Compare with a Gaussian and a disc blurred numerically, by cumulants -R^4/16 and R^6/16."""
     sigma, radius = 0.7, 1.2
     variance = sigma**2 + radius**2 / 4
     kernel = kernel_of(
@@ -97,14 +97,14 @@ def test_kernel_of_a_disc_is_flat_topped() -> None:
 def test_moments_of_a_clipped_level(level: float, sigma: float) -> None:
     top, clipped_sigma = 255.0, 0.2
     got = clipped_moments(np.array([level]), np.array([sigma]), Saturation(top, clipped_sigma))
-    at = level + sigma * np.linspace(-9, 9, 40001)
-    weight = norm.pdf(at, level, sigma) * (at[1] - at[0])
-    cut = np.minimum(at, top)
+    levels = level + sigma * np.linspace(-9, 9, 40001)
+    weight = norm.pdf(levels, level, sigma) * (levels[1] - levels[0])
+    cut = np.minimum(levels, top)
     mean = weight @ cut
     assert got.mean[0] == pytest.approx(mean, abs=1e-3)
     assert got.slope[0] == pytest.approx(norm.cdf((top - level) / sigma), abs=1e-9)
-    least = clipped_sigma**2 * norm.sf((top - level) / sigma)
-    assert got.sigma[0] ** 2 == pytest.approx(weight @ (cut - mean) ** 2 + least, abs=2e-3)
+    noise_floor = clipped_sigma**2 * norm.sf((top - level) / sigma)
+    assert got.sigma[0] ** 2 == pytest.approx(weight @ (cut - mean) ** 2 + noise_floor, abs=2e-3)
 
 
 def test_saturation_is_where_levels_pile_up() -> None:
@@ -119,10 +119,10 @@ def test_noise_grows_with_the_level_as_it_was_made() -> None:
     sigma = np.sqrt(1 + level / 20)
     residual = random.normal(0, sigma)
     everything = np.ones(len(level), dtype=bool)
-    at = np.linspace(40, 210, 9)
+    test_levels = np.linspace(40, 210, 9)
     for robust in (False, True):
-        found = noise_by_level(level, residual, everything, at, 30, robust=robust)
-        assert found == pytest.approx(np.sqrt(1 + at / 20), rel=0.05)
+        sigmas = noise_by_level(level, residual, everything, test_levels, 30, robust=robust)
+        assert sigmas == pytest.approx(np.sqrt(1 + test_levels / 20), rel=0.05)
 
 
 def test_noise_of_few_pixels_is_one_value_for_all_levels() -> None:
@@ -147,12 +147,12 @@ def test_correlation_and_the_variance_of_a_sum() -> None:
     assert shared == pytest.approx(np.exp(-squares / (4 * 0.8**2)), abs=0.05)
     # The sum over a window of the noise has the variance that the sandwich says.
     wave = np.cos(column / 9.0) * np.cos(row / 7.0)
-    claimed = sum_correlated(grid, wave[None], shared)[0, 0]
+    predicted_variance = sum_correlated(grid, wave[None], shared)[0, 0]
     sums = [
         wave @ (gaussian_filter(random.normal(size=(120, 140)), 0.8) / smooth.std()).ravel()
         for _ in range(200)
     ]
-    assert np.var(sums) / claimed == pytest.approx(1.0, abs=0.35)
+    assert np.var(sums) / predicted_variance == pytest.approx(1.0, abs=0.35)
 
 
 def test_a_mosaic_is_brought_to_the_levels_of_green() -> None:

@@ -1,4 +1,4 @@
-"""Pictures that no ideal camera takes: what is found in them, and errors as large as claimed."""
+"""Images of non-ideal cameras: the effects that are detected, and errors of the reported size."""
 
 from collections.abc import Callable
 
@@ -35,7 +35,7 @@ def test_errors_scatter_as_the_covariance_says(word: str) -> None:
         noise = np.random.default_rng(seed).normal(0.0, 2.0, exact.shape)
         result = refined(np.rint(camera(exact + noise)).astype(np.float32), START)
         assert result is not None
-        assert any(word in said for said in result.effects)
+        assert any(word in effect for effect in result.effects)
         squared.append(mahalanobis(result))
     assert abs(np.mean(squared) - 4) < 3.5 * np.sqrt(2 * 4 / trials)
 
@@ -46,16 +46,18 @@ def test_a_known_response_is_not_fitted() -> None:
     noise = np.random.default_rng(0).normal(0.0, 2.0, exact.shape)
     picture = np.rint(srgb(exact + noise)).astype(np.float32)
     pose = pose_of_values(np.array(START))
-    told, fitted = (
-        refine_image(picture, reference_sheet(), LENS.lens, pose, PoseModel.AIMED, encoding=known)
-        for known in (Encoding(response="srgb"), Encoding())
+    with_response, fitted = (
+        refine_image(
+            picture, reference_sheet(), LENS.lens, pose, PoseModel.AIMED, encoding=encoding
+        )
+        for encoding in (Encoding(response="srgb"), Encoding())
     )
-    assert told is not None
+    assert with_response is not None
     assert fitted is not None
-    assert told.effects == ()
-    assert mahalanobis(told) < 20.0
-    # What is known costs no information.
-    assert np.trace(told.information) > np.trace(fitted.information)
+    assert with_response.effects == ()
+    assert mahalanobis(with_response) < 20.0
+    # A known response costs no information.
+    assert np.trace(with_response.information) > np.trace(fitted.information)
 
 
 def test_a_clean_picture_takes_the_simple_model() -> None:

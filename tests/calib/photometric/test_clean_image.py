@@ -1,4 +1,4 @@
-"""A picture with nothing on the sheet but ink loses no pixel to the gate against cover."""
+"""An image of bare ink on paper loses no pixel to the gate against covers."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Laws of the fit: its equations against its cost, priors, noise that neighbours share."""
+"""Laws of the fit to grey levels: equations and cost, priors, correlated noise."""
 
 import dataclasses
 
@@ -52,7 +52,7 @@ def scene() -> PixelScene:
 def with_prior(
     scene: PixelScene, middle: ArrayLike | float, width: ArrayLike | float
 ) -> PixelScene:
-    """With what is said of the ratio of ink to paper beforehand."""
+    """The scene with a prior of the ratio of ink to paper."""
 
     class WithPrior(PixelScene):
         def image_data(self, unknowns, weight, sigma):
@@ -74,7 +74,7 @@ def looked_at(scene: PixelScene, point: ImageFitState, inliers: bool = True) -> 
 
 
 def cost(scene: PixelScene, point: ImageFitState) -> float:
-    """Chi-square by the predicted levels, and of the priors."""
+    """Chi-square of the predicted levels plus that of the priors."""
     prior = scene.image_data(point.state.unknowns, point.sigma, point.sigma).prior
     priors = np.sum(prior.weight * (point.state.values - prior.mean) ** 2)
     return float(np.sum(((point.level - scene.grey) / SIGMA) ** 2) + priors)
@@ -101,8 +101,8 @@ def test_the_gradient_is_half_the_cost_s_and_the_matrix_half_its_curvature(
         up, down = (cost(scene, at(scene, after(STATE, sign * step))) for sign in (1, -1))
         slope = (up - down) / (2 * step[k])
         curvature = (up + down - 2 * cost(scene, here)) / step[k] ** 2
-        claimed = 2 * gradient[k]
-        assert claimed == pytest.approx(slope, rel=0.03, abs=0.3 / spread[k]), k
+        predicted = 2 * gradient[k]
+        assert predicted == pytest.approx(slope, rel=0.03, abs=0.3 / spread[k]), k
         assert 2 * matrix[k, k] == pytest.approx(curvature, rel=0.06), k
 
 
@@ -120,12 +120,12 @@ def test_priors_alone_are_a_quadratic(scene: PixelScene) -> None:
 
 
 def test_steps_end_where_the_pixels_and_the_prior_balance(scene: PixelScene) -> None:
-    """A step that pixels alone would refuse is taken where the prior gains more."""
+    """A step that raises the cost of the pixels is taken if the prior gains more."""
     free = fit._take_steps(scene, at(scene, STATE), 8)
     width = 0.2 / np.sqrt(free.normal_equations()[0][4 + RATIO, 4 + RATIO])
-    known = with_prior(scene, float(free.state["ratio"]) + 0.05, width)
-    pulled = fit._take_steps(known, at(known, free.state), 8, 1e-8)
-    assert cost(known, pulled) < cost(known, at(known, free.state)) - 100
+    constrained = with_prior(scene, float(free.state["ratio"]) + 0.05, width)
+    pulled = fit._take_steps(constrained, at(constrained, free.state), 8, 1e-8)
+    assert cost(constrained, pulled) < cost(constrained, at(constrained, free.state)) - 100
     # Pixels alone have become worse.
     assert cost(scene, pulled) > cost(scene, free) + 100
     matrix, gradient, _ = pulled.normal_equations()
@@ -149,12 +149,12 @@ def test_covariance_is_that_of_draws_of_noise_that_neighbours_share(scene: Pixel
     errors = np.array([solve @ drawn() for _ in range(300)])
     truth = errors.T @ errors / len(errors)
     noisy = scene._replace(grey=exact.level - drawn())
-    claimed = pose_covariance(noisy, exact, correlated=True)
+    reported = pose_covariance(noisy, exact, correlated=True)
     white = pose_covariance(noisy, exact, correlated=False)
-    ratio = np.diag(claimed.matrix) / np.diag(truth)
+    ratio = np.diag(reported.matrix) / np.diag(truth)
     assert ratio == pytest.approx(np.ones(4), abs=0.35)
     assert (np.diag(white.matrix) < 0.7 * np.diag(truth)).all()
-    assert claimed.inflation > 1.5
+    assert reported.inflation > 1.5
 
 
 def test_covariance_of_independent_noise_is_the_inverse_of_the_information(
@@ -163,30 +163,30 @@ def test_covariance_of_independent_noise_is_the_inverse_of_the_information(
     exact = at(scene, STATE)
     noise = np.random.default_rng(2).normal(0.0, 2 * SIGMA, len(scene.grey))
     noisy = scene._replace(grey=exact.level - noise)
-    whole = np.linalg.inv(exact.normal_equations()[0])[:4, :4]
+    covariance = np.linalg.inv(exact.normal_equations()[0])[:4, :4]
     for correlated in (False, True):
-        claimed = pose_covariance(noisy, exact, correlated=correlated)
-        assert claimed.chi_square == pytest.approx(4.0, rel=0.05)
-        assert np.diag(claimed.matrix) == pytest.approx(4 * np.diag(whole), rel=0.2)
+        reported = pose_covariance(noisy, exact, correlated=correlated)
+        assert reported.chi_square == pytest.approx(4.0, rel=0.05)
+        assert np.diag(reported.matrix) == pytest.approx(4 * np.diag(covariance), rel=0.2)
 
 
 def test_derivatives_are_those_of_levels_that_saturation_cuts(scene: PixelScene) -> None:
-    """By the light of the paper, where half of the paper is above what the camera can tell."""
+    """The derivative by the paper's light is right even if half of the paper is saturated."""
     state = full_state(STATE, TUNING.photometric)
     cut = scene._replace(top=float(state.light[0]))
     light = state.unknowns.light[0]
     free = np.ones(4 + state.unknowns.size, dtype=bool)
 
-    def seen(change: float) -> ImageFitState:
+    def evaluate_with_light(change: float) -> ImageFitState:
         values = np.array(state.values)
         values[light] += change
         there = ImageState(state.pose, values, state.levels, state.unknowns)
         return looked_at(cut, fit._evaluate(cut, there, free))
 
-    up, down = (seen(sign * 0.5).residual(cut)[0] for sign in (1, -1))
-    claimed = seen(0.0).rows(cut)[9 + light]
-    assert claimed.min() < 0.7 < claimed.max()
-    np.testing.assert_allclose(claimed, up - down, atol=0.01)
+    up, down = (evaluate_with_light(sign * 0.5).residual(cut)[0] for sign in (1, -1))
+    derivative = evaluate_with_light(0.0).rows(cut)[9 + light]
+    assert derivative.min() < 0.7 < derivative.max()
+    np.testing.assert_allclose(derivative, up - down, atol=0.01)
 
 
 def test_the_information_of_a_pose_is_what_is_left_when_the_rest_is_free() -> None:
@@ -204,35 +204,35 @@ def test_only_levels_far_below_saturation_are_clear() -> None:
     assert is_clear(levels, sigma, 255.0, 4.0).tolist() == [False, False, True]
 
 
-def whole_field(side: int) -> SelectedPixels:
-    row, column = (place.ravel() for place in np.mgrid[:side, :side])
+def all_pixels(side: int) -> SelectedPixels:
+    row, column = (axis.ravel() for axis in np.mgrid[:side, :side])
     return SelectedPixels(column, row, np.zeros(side * side, dtype=np.int64))
 
 
 def test_neighbours_whose_residuals_have_a_mean_go_and_white_noise_stays() -> None:
-    chosen, noise = whole_field(60), np.random.default_rng(2).normal(size=3600)
+    pixels, noise = all_pixels(60), np.random.default_rng(2).normal(size=3600)
     everything = np.ones(3600, dtype=bool)
     assert (
-        remove_correlated_neighbourhoods(chosen, noise, everything, TUNING.photometric).mean()
+        remove_correlated_neighbourhoods(pixels, noise, everything, TUNING.photometric).mean()
         > 0.99
     )
-    shadow = (chosen.column < 20) & (chosen.row < 20)
+    shadow = (pixels.column < 20) & (pixels.row < 20)
     inliers = remove_correlated_neighbourhoods(
-        chosen, noise + 3.0 * shadow, everything, TUNING.photometric
+        pixels, noise + 3.0 * shadow, everything, TUNING.photometric
     )
     assert inliers[shadow].mean() < 0.3
-    assert inliers[chosen.column > 40].all()
+    assert inliers[pixels.column > 40].all()
 
 
 def test_crowds_of_outliers_go_with_their_whole_neighbourhood() -> None:
-    chosen, residual = whole_field(60), np.zeros(3600)
-    thumb = (chosen.column < 20) & (chosen.row < 20)
+    pixels, residual = all_pixels(60), np.zeros(3600)
+    thumb = (pixels.column < 20) & (pixels.row < 20)
     # Every second pixel under a thumb happens to have the right grey level.
-    residual[thumb & ((chosen.column + chosen.row) % 2 == 0)] = 50.0
-    inliers = gate_by_sigma(chosen, residual, np.ones(3600), TUNING.photometric)
-    inside = (chosen.column < 15) & (chosen.row < 15)
+    residual[thumb & ((pixels.column + pixels.row) % 2 == 0)] = 50.0
+    inliers = gate_by_sigma(pixels, residual, np.ones(3600), TUNING.photometric)
+    inside = (pixels.column < 15) & (pixels.row < 15)
     assert not inliers[inside].any()
-    assert inliers[chosen.column > 40].all()
+    assert inliers[pixels.column > 40].all()
 
 
 @pytest.mark.parametrize("level", range(LOCAL_TERMS))
@@ -271,19 +271,22 @@ def test_levels_are_eliminated_from_the_equations(scene: PixelScene) -> None:
     for b in range(blocks):  # no pixel is of two blocks
         columns = slice(size + LOCAL_TERMS * b, size + LOCAL_TERMS * (b + 1))
         rows[np.arange(60) % blocks != b, columns] = 0.0
-    whole, slope = rows.T @ rows, rows.T @ random.normal(size=60)
-    places = np.arange(blocks * LOCAL_TERMS).reshape(blocks, LOCAL_TERMS) + size
+    normal, slope = rows.T @ rows, rows.T @ random.normal(size=60)
+    level_columns = np.arange(blocks * LOCAL_TERMS).reshape(blocks, LOCAL_TERMS) + size
     arrow = BlockArrow(
-        whole[:size, :size],
-        np.stack([whole[:size, own] for own in places]),
-        np.stack([whole[np.ix_(own, own)] for own in places]),
+        normal[:size, :size],
+        np.stack([normal[:size, block_columns] for block_columns in level_columns]),
+        np.stack([normal[np.ix_(block_columns, block_columns)] for block_columns in level_columns]),
     )
-    equations = ArrowEquations(np.asarray(0.0), arrow, (slope[:size], slope[places]))
+    equations = ArrowEquations(np.asarray(0.0), arrow, (slope[:size], slope[level_columns]))
     point = dataclasses.replace(at(scene, STATE), equations=equations)
     matrix, gradient, follow = point.normal_equations()
-    step = np.linalg.solve(whole, slope)
+    step = np.linalg.solve(normal, slope)
     np.testing.assert_allclose(np.linalg.solve(matrix, gradient), step[:size], rtol=1e-6)
     alone = np.stack(
-        [np.linalg.solve(part, slope[own]) for part, own in zip(arrow.blocks, places, strict=True)]
+        [
+            np.linalg.solve(part, slope[block_columns])
+            for part, block_columns in zip(arrow.blocks, level_columns, strict=True)
+        ]
     )
-    np.testing.assert_allclose(alone + follow @ step[:size], step[places], rtol=1e-6)
+    np.testing.assert_allclose(alone + follow @ step[:size], step[level_columns], rtol=1e-6)

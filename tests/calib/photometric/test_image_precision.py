@@ -1,4 +1,4 @@
-"""Single precision for pixels must not show in the pose, however many pixels there are."""
+"""Single precision of the pixels does not change the pose, for any number of pixels."""
 
 import numpy as np
 
@@ -14,25 +14,25 @@ def test_rounding_of_the_unknowns_moves_no_large_picture() -> None:
     lens, size = camera.intrinsics.lens, camera.intrinsics.image_size_px
     pose = pose_of((*TABLE_1["left"], 0.0, 0.0))
     state = ideal_state(pose, 0.757, 25 / 230 - 1, np.array([230.1, 1.3, -0.7]))
-    chosen = select_pixels(pose, lens, pattern, size, 2.7).near_circles
-    chosen = chosen.subset(np.arange(0, len(chosen.row), 8))
+    selected = select_pixels(pose, lens, pattern, size, 2.7).near_circles
+    selected = selected.subset(np.arange(0, len(selected.row), 8))
     grey = np.zeros(size[::-1])
 
-    def seen(dtype: type) -> tuple[np.ndarray, np.ndarray]:
-        group = pad_group(chosen, grey, lens, pattern, len(chosen.row), dtype)
+    def residuals_and_rows(dtype: type) -> tuple[np.ndarray, np.ndarray]:
+        group = pad_group(selected, grey, lens, pattern, len(selected.row), dtype)
         rows = rows_of(state, group, drawing=drawing_of(pattern))
         return np.asarray(rows.level, float) - np.asarray(group.pixels.grey, float), np.asarray(
             rows.rows, float
         )
 
-    exact, rows = seen(np.float64)
-    grey[chosen.row, chosen.column] = exact
+    exact, rows = residuals_and_rows(np.float64)
+    grey[selected.row, selected.column] = exact
     # The model is the picture: what residuals there are come of rounding. The unknowns that one
     # plane leaves open have no scale of their own, and no step.
-    residual, _ = seen(np.float32)
+    residual, _ = residuals_and_rows(np.float32)
     matrix, gradient = rows @ rows.T, rows @ residual
     scale = np.sqrt(np.diag(matrix))
     values, vectors = np.linalg.eigh(matrix / scale / scale[:, None])
-    known = values > 1e-12 * values[-1]
-    along = (vectors.T @ (gradient / scale))[known] / np.sqrt(values[known])
+    determined = values > 1e-12 * values[-1]
+    along = (vectors.T @ (gradient / scale))[determined] / np.sqrt(values[determined])
     assert np.linalg.norm(along) < 0.03

@@ -1,4 +1,4 @@
-"""Displacements of patches and their information are those of dense least squares."""
+"""Displacements of patches and their information equal those of dense least squares."""
 
 from typing import Any
 
@@ -62,18 +62,18 @@ def test_what_is_known_beforehand_counts_less_as_pixels_that_share_noise_do(
 ) -> None:
     scene, point = lit_scene(local)
     count = point.state.unknowns.size
-    found = _shared_unknowns(scene, point, np.eye(count, 15), inflation)
+    shared = _shared_unknowns(scene, point, np.eye(count, 15), inflation)
     prior = point.state.unknowns.prior(TUNING.photometric, local=local)
     weight = np.asarray(prior.weight)
     assert weight.any()
-    np.testing.assert_allclose(inflation * found.prior[:count], weight)
+    np.testing.assert_allclose(inflation * shared.prior[:count], weight)
     np.testing.assert_allclose(
-        inflation * found.prior_gradient[:count], weight * (point.state.values - prior.mean)
+        inflation * shared.prior_gradient[:count], weight * (point.state.values - prior.mean)
     )
     of_levels = np.asarray(point.state.levels).T.ravel() if local else np.zeros(0)
     width = np.tile(TUNING.photometric.local_widths, len(of_levels) // LOCAL_TERMS)
-    np.testing.assert_allclose(inflation * found.prior[count:], width**-2)
-    np.testing.assert_allclose(inflation * found.prior_gradient[count:], of_levels / width**2)
+    np.testing.assert_allclose(inflation * shared.prior[count:], width**-2)
+    np.testing.assert_allclose(inflation * shared.prior_gradient[count:], of_levels / width**2)
 
 
 def test_light_of_a_block_moves_its_own_pixels_as_its_slope_says() -> None:
@@ -81,9 +81,11 @@ def test_light_of_a_block_moves_its_own_pixels_as_its_slope_says() -> None:
     assert scene.blocks is not None
     by_levels = _shared_unknowns(scene, point, np.eye(point.state.unknowns.size, 15), 1.0).by_levels
     step = np.random.default_rng(5).normal(size=(LOCAL_TERMS, scene.blocks.count))
-    own = np.sum(step[:, scene.blocks.of_pixel].reshape(2, 3, -1) * scene.blocks.basis.T, axis=1)
+    light_change = np.sum(
+        step[:, scene.blocks.of_pixel].reshape(2, 3, -1) * scene.blocks.basis.T, axis=1
+    )
     by_local = point.rows_by_local(scene)
-    np.testing.assert_allclose(by_levels @ step.T.ravel(), np.sum(by_local * own, axis=0))
+    np.testing.assert_allclose(by_levels @ step.T.ravel(), np.sum(by_local * light_change, axis=0))
 
 
 def lit_scene(local: bool) -> tuple[PixelScene, ImageFitState]:
@@ -116,7 +118,7 @@ def lit_scene(local: bool) -> tuple[PixelScene, ImageFitState]:
 
 
 def test_a_patch_of_next_to_no_information_is_none() -> None:
-    label, known = np.array([4, 4, 7, 7, 9]), np.array([1.0, 2.0, 1e-6, 1e-6, 0.5])
-    number, counted = _renumber_patches(label, known)
+    label, information = np.array([4, 4, 7, 7, 9]), np.array([1.0, 2.0, 1e-6, 1e-6, 0.5])
+    number, counted = _renumber_patches(label, information)
     assert number[[0, 1, 4]].tolist() == [0, 0, 1]
     np.testing.assert_array_equal(counted, [1.0, 2.0, 0.0, 0.0, 0.5])

@@ -1,4 +1,4 @@
-"""Laws of the picture's model: against integration, against differences, against pictures."""
+"""Laws of the image model: agreement with integration, differences and rendered images."""
 
 import numpy as np
 import pytest
@@ -27,8 +27,8 @@ def model_residuals(pattern: Pattern, values: tuple[float, ...]) -> list[np.ndar
     picture, residuals = image_of(pattern, values), []
     for near_line in (False, True):
         group, count = pixels_of(picture, pattern, near_line=near_line)
-        seen = rows_of(state_at(values), group, drawing=drawing_of(pattern), near_line=near_line)
-        residuals.append((np.asarray(seen.level) - group.pixels.grey)[:count])
+        rows = rows_of(state_at(values), group, drawing=drawing_of(pattern), near_line=near_line)
+        residuals.append((np.asarray(rows.level) - group.pixels.grey)[:count])
     return residuals
 
 
@@ -148,7 +148,7 @@ START = (RIGHT[0] + 0.02, RIGHT[1] - 0.02, RIGHT[2] + 0.02, RIGHT[3] + 0.2, 0.0,
 
 
 def mahalanobis(result: ImageRefinement) -> float:
-    """Squared distance of the pose from the truth in its own covariance."""
+    """Squared Mahalanobis distance of the pose from the truth, by its own covariance."""
     truth = pose_of(RIGHT)
     turn = np.asarray(truth.rotation @ result.state.pose.rotation.T)
     vector = 0.5 * np.array(

@@ -1,4 +1,4 @@
-"""What single precision takes from the fit to grey levels, as docs/limits.md says."""
+"""Effect of single precision on the fit to grey levels, as docs/limits.md states it."""
 
 from collections.abc import Iterator
 
@@ -17,7 +17,7 @@ from trinoc.synth import table1_lens
 
 @pytest.fixture
 def compiled_as_for_users() -> Iterator[None]:
-    """With the optimizations that tests do without: they round otherwise, ten times as much."""
+    """Compile with the optimizations that other tests switch off: they round ten times as much."""
     store = set_program_store(None)
     forget_programs()
     jax.config.update("jax_disable_most_optimizations", False)
@@ -30,8 +30,8 @@ def compiled_as_for_users() -> Iterator[None]:
 @pytest.mark.slow
 @pytest.mark.usefixtures("compiled_as_for_users")
 def test_double_precision_moves_no_parameter_beyond_the_stopping_rule(monkeypatch) -> None:
-    known = demo_images("sheet"), demo_pattern(), table1_lens()
-    single = calibrate(*known, systematics=Systematics())
+    inputs = demo_images("sheet"), demo_pattern(), table1_lens()
+    single = calibrate(*inputs, systematics=Systematics())
     pad_group = scene.pad_group
 
     def in_double_precision(part, image, lens, pattern, capacity, dtype, shift_px):
@@ -39,7 +39,7 @@ def test_double_precision_moves_no_parameter_beyond_the_stopping_rule(monkeypatc
         return pad_group(part, image, lens, pattern, capacity, np.float64, shift_px)
 
     monkeypatch.setattr(scene, "pad_group", in_double_precision)
-    double = calibrate(*known, systematics=Systematics())
+    double = calibrate(*inputs, systematics=Systematics())
     assert {fit.method for fit in double.fits.values()} == {"pixels"}
     sigma = np.sqrt(np.diag(double.covariance))
     # A fit stops where the chi-square gains no more than this, the square of a share of a sigma.

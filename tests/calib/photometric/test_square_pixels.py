@@ -1,4 +1,4 @@
-"""Which pixels of a board of squares take part; one picture tells its pose as it claims."""
+"""Selection of pixels on a board of squares, and the true sigmas of a pose from one image."""
 
 from dataclasses import replace
 
@@ -88,7 +88,7 @@ def test_derivatives_of_rays_are_those_of_the_lens():
     ],
 )
 def test_one_picture_tells_its_pose_as_it_claims(board, lens, where):
-    """Four draws of noise: the squares of the errors, by their covariance, are chi-square of 24."""
+    """The normalised squared errors of four draws of noise are chi-square of 24."""
     with_noise = np.random.default_rng(0)
     clean, total = picture_of(board, lens, where), 0.0
     for _ in range(4):
@@ -116,19 +116,23 @@ def _squared(picture, board, lens, where) -> float:
 
 def test_every_edge_in_reach_is_looked_at_once_and_fine_cells_are_not():
     sheet, reach = square_sheet(CHARUCO), 2.7
-    near = square_pixels(Pose(AHEAD), PERSPECTIVE, sheet, SIZE_PX, reach)
-    far = square_pixels(Pose(AFAR), PERSPECTIVE, sheet, SIZE_PX, reach)
-    for seen, pose_of in ((near, AHEAD), (far, AFAR)):
-        assert len(np.unique(np.stack([seen.column, seen.row]), axis=1).T) == len(seen.row)
-        ink = seen.squares.ink.reshape(-1, 3, 3)
+    near_pixels = square_pixels(Pose(AHEAD), PERSPECTIVE, sheet, SIZE_PX, reach)
+    far_pixels = square_pixels(Pose(AFAR), PERSPECTIVE, sheet, SIZE_PX, reach)
+    for selected, pose_of in ((near_pixels, AHEAD), (far_pixels, AFAR)):
+        assert len(np.unique(np.stack([selected.column, selected.row]), axis=1).T) == len(
+            selected.row
+        )
+        ink = selected.squares.ink.reshape(-1, 3, 3)
         assert (ink.min(axis=(1, 2)) < ink.max(axis=(1, 2))).all()
         # The cell in the middle of the window, or beside it, is the one under the pixel.
-        point, _ = sheet_points_and_slopes(seen.column, seen.row, Pose(pose_of), PERSPECTIVE)
-        row = (point[1][:, None] > seen.squares.y_mm).sum(axis=1)
-        column = (point[0][:, None] > seen.squares.x_mm).sum(axis=1)
-        own = sheet.ink[
+        point, _ = sheet_points_and_slopes(
+            selected.column, selected.row, Pose(pose_of), PERSPECTIVE
+        )
+        row = (point[1][:, None] > selected.squares.y_mm).sum(axis=1)
+        column = (point[0][:, None] > selected.squares.x_mm).sum(axis=1)
+        is_ink_below = sheet.ink[
             np.searchsorted(sheet.y_mm, point[1]), np.searchsorted(sheet.x_mm, point[0])
         ]
-        np.testing.assert_array_equal(ink[np.arange(len(row)), row, column] > 0, own)
+        np.testing.assert_array_equal(ink[np.arange(len(row)), row, column] > 0, is_ink_below)
     # Three times as far away, a ninth of the area: of the markers little is left.
-    assert len(far.row) < len(near.row) / 9
+    assert len(far_pixels.row) < len(near_pixels.row) / 9

@@ -1,4 +1,4 @@
-"""Laws of a picture of squares: the model is the renderer's, and ink's spread is what it says."""
+"""Laws of the image model of squares: agreement with the renderer, and the spread of ink."""
 
 from dataclasses import dataclass, field
 
@@ -39,7 +39,7 @@ BOARDS = {
 
 @dataclass
 class Bare:
-    """A sheet without a print."""
+    """Target without a print."""
 
     centres_mm: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     radius_mm: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -75,19 +75,19 @@ def picture(board):
 
 @pytest.fixture(scope="module")
 def model(picture, board):
-    """Residual and derivatives of every pixel near an edge, for an ink spread in mm."""
+    """Function of the ink spread in mm: residual and derivatives of every pixel near an edge."""
     sheet = square_sheet(board)
     assert not pixels_of(picture, sheet, near_line=True)[1]
     group, count = pixels_of(picture, sheet)
 
-    def seen(spread_mm):
+    def residuals_and_rows(spread_mm):
         state = with_appearance(state_at(RIGHT), spread_mm=spread_mm)
         rows = rows_of(state, group, drawing=drawing_of(sheet))
         return (np.asarray(rows.level) - group.pixels.grey)[:count], np.asarray(rows.rows)[
             :, :count
         ]
 
-    return seen
+    return residuals_and_rows
 
 
 def test_the_model_is_the_picture(model):
@@ -117,12 +117,12 @@ def test_the_grid_is_what_is_printed(board):
     sheet = square_sheet(board)
     random = np.random.default_rng(0)
     extent = np.array([[sheet.x_mm[0], sheet.y_mm[0]], [sheet.x_mm[-1], sheet.y_mm[-1]]])
-    places = random.uniform(1.1 * extent[0], 1.1 * extent[1], (2000, 2))
+    points_mm = random.uniform(1.1 * extent[0], 1.1 * extent[1], (2000, 2))
     level = np.min(
-        [ConvexPolygon(each.corners_mm).level_mm(places) for each in board.drawing()], axis=0
+        [ConvexPolygon(each.corners_mm).level_mm(points_mm) for each in board.drawing()], axis=0
     )
     ink = sheet.ink[
-        np.searchsorted(sheet.y_mm, places[:, 1]), np.searchsorted(sheet.x_mm, places[:, 0])
+        np.searchsorted(sheet.y_mm, points_mm[:, 1]), np.searchsorted(sheet.x_mm, points_mm[:, 0])
     ]
     np.testing.assert_array_equal(ink, level < 0)
     assert not sheet.ink[[0, -1]].any()

@@ -1,4 +1,4 @@
-"""The law that the structured equations of shots hold."""
+"""Law of the structured equations of shots: they are the derivatives of the cost."""
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +14,8 @@ from trinoc.numerics.robust_loss import GemanMcClure
 SHOTS = 8
 
 
-def cost_of_places(problem: PointsProblem, state: RigState) -> jax.Array:
-    """Robust chi-square of all places, and that of the prior."""
+def cost_of_points(problem: PointsProblem, state: RigState) -> jax.Array:
+    """Robust chi-square of all points plus that of the prior."""
     squared = jnp.sum(
         jnp.square(whitened_residuals(state, problem.parametrization, problem.table)), axis=-1
     )
@@ -24,8 +24,11 @@ def cost_of_places(problem: PointsProblem, state: RigState) -> jax.Array:
 
 
 def assert_equations_are_those_of_the_cost(here: Problem) -> None:
-    """Cost and half its gradient, a little off the state, are those of the equations, and their
-    information that of the residuals' own derivatives, weighted by the loss, and of the prior."""
+    """Assert that the equations are the cost, half its gradient and its information.
+
+    They are evaluated a little off the given state. The information is that of the residuals' own
+    derivatives, weighted by the loss, plus that of the prior.
+    """
     table, parametrization, state = jax.tree.map(
         jnp.asarray, (here.table, here.parametrization, here.state)
     )
@@ -36,14 +39,14 @@ def assert_equations_are_those_of_the_cost(here: Problem) -> None:
     start = jax.jit(retract)(state, parametrization, off, np.zeros((SHOTS, 6)))
 
     def at(head, boards):
-        return cost_of_places(problem, problem.retract(start, head, boards))
+        return cost_of_points(problem, problem.retract(start, head, boards))
 
     zero = jnp.zeros(len(parametrization.free)), jnp.zeros((SHOTS, 6))
     cost, gradients = jax.jit(jax.value_and_grad(at, argnums=(0, 1)))(*zero)
     equations = jax.jit(lambda state: problem.equations(state))(start)
     np.testing.assert_allclose(equations.cost, cost, rtol=1e-9)
-    for found, expected in zip(equations.gradient, gradients, strict=True):
-        np.testing.assert_allclose(2 * found, expected, rtol=1e-6, atol=1e-6)
+    for gradient, expected in zip(equations.gradient, gradients, strict=True):
+        np.testing.assert_allclose(2 * gradient, expected, rtol=1e-6, atol=1e-6)
 
     def residuals(head, boards):
         values = whitened_residuals(problem.retract(start, head, boards), parametrization, table)
@@ -55,15 +58,17 @@ def assert_equations_are_those_of_the_cost(here: Problem) -> None:
         weight = jax.vmap(lambda loss, each: loss.weight(each))(problem.loss, squared)
         return by_step, weight, evaluate_prior(start, parametrization).information
 
-    (by_head, by_boards), weight, known = jax.jit(weighed)()
+    (by_head, by_boards), weight, prior_information = jax.jit(weighed)()
     weighted = np.asarray(weight)[..., None, None] * by_head
     head = np.einsum("vnih,vnig->hg", weighted, by_head)
-    head += np.asarray(known)
+    head += np.asarray(prior_information)
     coupling = np.einsum("vnih,vnisb->shb", weighted, by_boards)
     scale = np.sqrt(np.maximum(np.diag(head), 1.0))
-    found = equations.information
+    information = equations.information
     np.testing.assert_allclose(
-        np.asarray(found.head) / np.outer(scale, scale), head / np.outer(scale, scale), atol=1e-8
+        np.asarray(information.head) / np.outer(scale, scale),
+        head / np.outer(scale, scale),
+        atol=1e-8,
     )
     size = np.abs(coupling).max()
-    np.testing.assert_allclose(np.asarray(found.coupling) / size, coupling / size, atol=1e-8)
+    np.testing.assert_allclose(np.asarray(information.coupling) / size, coupling / size, atol=1e-8)

@@ -1,4 +1,4 @@
-"""The problem of a rig of three cameras, at the truth."""
+"""Problem of a rig of three cameras, at the truth."""
 
 import numpy as np
 
@@ -12,12 +12,12 @@ CAMERAS = ("left", "middle", "right")
 
 
 def problem(poses, systematics=None):
-    """At the truth, with noise in what was seen."""
-    seen = shots(count=len(poses))
+    """Problem at the truth, with noise in the detections."""
+    detections = shots(count=len(poses))
     views = [
         BoardObservation(c, s, each, np.ones(len(each), dtype=bool))
-        for c, own in enumerate(seen.values())
-        for s, each in enumerate(own)
+        for c, camera_detections in enumerate(detections.values())
+        for s, each in enumerate(camera_detections)
     ]
     lenses = [lens_of(name) for name in CAMERAS]
     return start_problem(

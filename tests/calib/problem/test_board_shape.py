@@ -1,4 +1,4 @@
-"""Places that lie elsewhere on the board are found where the shots show them, and only there."""
+"""Displaced points of the board are estimated if the shots determine them, and only then."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,8 @@ FLAT_ENOUGH = Systematics(print_scale_sigma=(1e-4, 1e-4), flatness_mm=0.05)
 
 
 def fitted(aside_mm, systematics=FLAT_ENOUGH):
-    seen = shots(count=8, aside_mm=aside_mm)
-    return calibrate_rig(seen, BOARD, systematics=systematics, distortion=4)
+    detections = shots(count=8, aside_mm=aside_mm)
+    return calibrate_rig(detections, BOARD, systematics=systematics, distortion=4)
 
 
 @pytest.fixture(scope="module")
@@ -23,12 +23,12 @@ def wavy():
 
 
 @pytest.fixture(scope="module")
-def found(wavy):
+def calibration(wavy):
     return fitted(wavy)
 
 
 def lens_errors(result):
-    """Errors of all lenses in claimed sigmas."""
+    """Errors of all lenses in reported sigmas."""
     return np.concatenate(
         [
             (result.value(name) - true) / result.sigma(name)
@@ -43,19 +43,19 @@ def lens_errors(result):
 
 
 @pytest.mark.slow
-def test_a_wavy_board_is_found_with_the_rig(found, wavy):
-    assert found.place_shifts_mm.shape == wavy.shape
-    # What is left is the noise's, and what a motion or a scale of the whole board stands for.
+def test_a_wavy_board_is_found_with_the_rig(calibration, wavy):
+    assert calibration.place_shifts_mm.shape == wavy.shape
+    # The rest is noise, and shapes that a motion or a scale of the board replaces.
     basis = np.column_stack([np.ones(len(BOARD)), BOARD.centres_mm])
-    rise = wavy[:, 2] - found.place_shifts_mm[:, 2]
+    rise = wavy[:, 2] - calibration.place_shifts_mm[:, 2]
     bowl = BOARD.centres_mm**2
     basis = np.column_stack([basis, bowl])
     rise = rise - basis @ np.linalg.lstsq(basis, rise)[0]
     assert np.sqrt(np.mean(rise**2)) < 0.3 * 0.3
-    assert any("points deviate from the drawing" in note for note in found.notes)
-    errors = lens_errors(found)
+    assert any("points deviate from the drawing" in note for note in calibration.notes)
+    errors = lens_errors(calibration)
     assert 0.5 < np.sqrt(np.mean(errors**2)) < 1.6
-    assert found.rms_px() < 0.08
+    assert calibration.rms_px() < 0.08
 
 
 @pytest.mark.slow

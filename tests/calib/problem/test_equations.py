@@ -1,4 +1,4 @@
-"""Equations of the places: derivatives of their cost, images of circles, lengths of arrays."""
+"""Equations of the points: derivatives of their cost, images of circles, lengths of arrays."""
 
 import jax
 import numpy as np
@@ -31,14 +31,14 @@ def test_a_circle_is_predicted_as_the_exact_model_has_it():
     sheet, lens, pose = Pattern.default(), lens_of("left"), board_poses(1)[0]
     parametrization = problem(board_poses(1)).parametrization
     parametrization = type(parametrization)(**{**vars(parametrization), "has_circles": True})
-    places, radius = sheet.centres_mm[:5], sheet.radius_mm[:5]
+    centres_mm, radius = sheet.centres_mm[:5], sheet.radius_mm[:5]
     view = BoardProjection(lens, np.eye(3, 4), pose, None, np.zeros(4))
-    found = jax.jit(predict_points)(
-        view, parametrization, 0, np.pad(places, ((0, 0), (0, 1))), np.zeros((5, 3)), radius
+    prediction = jax.jit(predict_points)(
+        view, parametrization, 0, np.pad(centres_mm, ((0, 0), (0, 1))), np.zeros((5, 3)), radius
     )
     camera = Camera(Intrinsics.of_lens(lens, SIZE_PX), Pose(pose))
-    exact = jax.jit(jax.vmap(image_of_circle_centre, (None, 0, 0)))(camera, places, radius)
-    np.testing.assert_allclose(found, exact, atol=2e-4)
+    exact = jax.jit(jax.vmap(image_of_circle_centre, (None, 0, 0)))(camera, centres_mm, radius)
+    np.testing.assert_allclose(prediction, exact, atol=2e-4)
 
 
 def test_lengths_of_arrays_are_few():

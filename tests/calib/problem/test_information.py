@@ -1,4 +1,4 @@
-"""What shots say of lenses, cameras and board, against dense equations and random draws."""
+"""Information of shots about lenses, cameras and board, by dense equations and random draws."""
 
 import equinox as eqx
 import jax
@@ -27,7 +27,7 @@ from trinoc.calib.tuning.every_group import TUNING
 
 @pytest.fixture(scope="module")
 def here():
-    """So many shots that all is determined but for the last coefficient of the lenses."""
+    """Problem whose shots determine all parameters but the last coefficient of the lenses."""
     free = np.ones((3, 9), dtype=bool)
     free[:, -1] = False
     return with_lens_free(problem(board_poses(6)), free)
@@ -66,20 +66,20 @@ def test_each_shot_says_what_dense_equations_say_once_its_board_is_eliminated(
     residual, by_head, by_boards = dense
     shot_of = np.array([view.shot for view in here.views])
     for shot in range(here.shots):
-        own = shot_of == shot
-        r = residual[own].ravel()
-        head = by_head[own].reshape(len(r), -1)
-        board = by_boards[own][:, :, shot].reshape(len(r), 6)
+        in_shot = shot_of == shot
+        r = residual[in_shot].ravel()
+        head = by_head[in_shot].reshape(len(r), -1)
+        board = by_boards[in_shot][:, :, shot].reshape(len(r), 6)
         follow = -np.linalg.solve(board.T @ board, board.T @ head)
-        left = head + board @ follow
+        reduced = head + board @ follow
         scale = np.sqrt(np.maximum(np.diag(head.T @ head), 1.0))
         np.testing.assert_allclose(
             information.shot_information[shot] / np.outer(scale, scale),
-            (left.T @ left) / np.outer(scale, scale),
+            (reduced.T @ reduced) / np.outer(scale, scale),
             atol=1e-8,
         )
         np.testing.assert_allclose(
-            information.gradients[shot] / scale, left.T @ r / scale, atol=1e-6
+            information.gradients[shot] / scale, reduced.T @ r / scale, atol=1e-6
         )
         np.testing.assert_allclose(information.board_by_parameters[shot], follow, atol=1e-6)
         np.testing.assert_allclose(
@@ -95,30 +95,32 @@ def test_the_covariance_is_that_of_all_unknowns_together_with_what_was_known(
     boards = by_boards[:, :, : here.shots].reshape(rows, -1)
     every = np.concatenate([by_head.reshape(rows, -1)[:, information.free], boards], axis=1)
     normal = every.T @ every
-    known = np.zeros(len(here.free))
-    known[here.slices.sheets.start :] = 1.0
+    has_prior = np.zeros(len(here.free))
+    has_prior[here.slices.sheets.start :] = 1.0
     count = len(information.free)
     sheet = np.asarray(here.parametrization.sheet_scale)
-    prior = np.zeros((len(known), len(known)))
+    prior = np.zeros((len(has_prior), len(has_prior)))
     prior[here.slices.sheets.start :, here.slices.sheets.start :] = (
         sheet[:, None] * here.priors.sheet_information * sheet
     )
     normal[:count, :count] += prior[np.ix_(information.free, information.free)]
     scale = np.sqrt(np.diag(normal))
     expected = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
-    found, expected = information.observability.covariance, expected[:count, :count]
+    covariance, expected = information.observability.covariance, expected[:count, :count]
     sigma = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(
-        found / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=1e-4
+        covariance / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=1e-4
     )
 
 
 def test_views_are_linear_in_the_steps_of_the_head(here, information, dense):
     residual, by_head, _ = dense
-    found = whiten_views(here)
-    np.testing.assert_allclose(found.residual, residual, atol=1e-9)
+    whitened = whiten_views(here)
+    np.testing.assert_allclose(whitened.residual, residual, atol=1e-9)
     free = information.free
-    np.testing.assert_allclose(found.jacobian[..., free], by_head[..., free], rtol=1e-7, atol=1e-6)
+    np.testing.assert_allclose(
+        whitened.jacobian[..., free], by_head[..., free], rtol=1e-7, atol=1e-6
+    )
 
 
 def test_noise_is_enlarged_and_what_was_known_is_not():
@@ -134,18 +136,21 @@ def test_noise_is_enlarged_and_what_was_known_is_not():
 
 @pytest.mark.parametrize("variance", [1.0, 4.0])
 def test_the_scatter_of_pulls_is_that_of_their_noise(variance):
-    """At the end of a fit the pulls of all shots cancel: each follows its own noise less what the
-    common step takes."""
+    """The scatter of the pulls equals the variance of the noise.
+
+    At the end of a fit the pulls of all shots cancel: each is its own noise less its share of the
+    common step.
+    """
     random, shots, size = np.random.default_rng(0), 6, 3
     rows = 30 * random.normal(size=(shots, 8, size))
     of_shot = np.swapaxes(rows, 1, 2) @ rows
-    whole, free = of_shot.sum(axis=0), np.arange(size)
+    total, free = of_shot.sum(axis=0), np.arange(size)
     factors, sigmas = [], []
     for _ in range(2000):
         noise = np.sqrt(variance) * random.normal(size=(shots, 8))
         pulls = np.einsum("sni,sn->si", rows, noise)
-        pulls = pulls - of_shot @ np.linalg.solve(whole, pulls.sum(axis=0))
-        said = Information(
+        pulls = pulls - of_shot @ np.linalg.solve(total, pulls.sum(axis=0))
+        shots_information = Information(
             of_shot,
             pulls,
             np.zeros((shots, 6, size)),
@@ -154,26 +159,26 @@ def test_the_scatter_of_pulls_is_that_of_their_noise(variance):
             np.zeros((size, size)),
             size,
         )
-        found = shot_scatter(said)
-        factors.append(found.factor)
-        sigmas.append(found.sigma)
+        scatter = shot_scatter(shots_information)
+        factors.append(scatter.factor)
+        sigmas.append(scatter.sigma)
     assert np.mean(factors) == pytest.approx(variance, rel=0.05)
     assert np.std(factors) / variance == pytest.approx(np.mean(sigmas), rel=0.3)
 
 
 @pytest.mark.parametrize("off", [0.0, 30.0])
 def test_the_scatter_of_pulls_is_that_of_their_noise_whatever_was_held(off):
-    """What shots pull at a parameter that was held wrongly is no disagreement among them."""
-    random, shots, size, held = np.random.default_rng(0), 6, 3, np.arange(3) == 2
+    """Pulls at a parameter that was fixed wrongly do not count as disagreement of the shots."""
+    random, shots, size, is_fixed = np.random.default_rng(0), 6, 3, np.arange(3) == 2
     rows = 30 * random.normal(size=(shots, 8, size))
     of_shot = np.swapaxes(rows, 1, 2) @ rows
-    whole, factors = of_shot.sum(axis=0), []
-    wrong = np.where(held, off / np.sqrt(np.diag(whole)), 0.0)
+    total, factors = of_shot.sum(axis=0), []
+    wrong = np.where(is_fixed, off / np.sqrt(np.diag(total)), 0.0)
     for _ in range(1000):
         pulls = np.einsum("sni,sn->si", rows, random.normal(size=(shots, 8))) + of_shot @ wrong
-        step = np.linalg.solve(whole[:2, :2], pulls.sum(axis=0)[:2])
+        step = np.linalg.solve(total[:2, :2], pulls.sum(axis=0)[:2])
         pulls = pulls - of_shot[:, :, :2] @ step
-        said = Information(
+        shots_information = Information(
             of_shot,
             pulls,
             np.zeros((shots, 6, size)),
@@ -182,18 +187,18 @@ def test_the_scatter_of_pulls_is_that_of_their_noise_whatever_was_held(off):
             np.zeros((size, size)),
             size,
         )
-        factors.append(shot_scatter(said, held).factor)
+        factors.append(shot_scatter(shots_information, is_fixed).factor)
     assert np.mean(factors) == pytest.approx(1.0, rel=0.05)
 
 
 def test_sigmas_of_corners_are_such_that_chi_square_is_as_large_as_it_should_be(here):
-    """By the sigmas of cameras and images, chi-square is its degrees of freedom."""
+    """With the sigmas of cameras and images, chi-square equals its degrees of freedom."""
     chi_square = float(np.sum(whitened_errors(with_sigma_factors(here)) ** 2))
     assert chi_square == pytest.approx(degrees_of_freedom(here))
 
 
 def test_an_image_that_is_noisier_has_larger_sigmas(here):
-    """Residuals three times as large in one image make its sigmas as large, as bounds allow."""
+    """Residuals three times as large in one image enlarge its sigmas as much, up to bounds."""
     errors = whitened_errors(here)
     k = next(k for k, view in enumerate(here.views) if view.used.any())
     view = here.views[k]
@@ -214,15 +219,15 @@ def test_an_image_that_is_noisier_has_larger_sigmas(here):
 
 
 def test_the_shape_has_as_many_effective_parameters_as_the_shots_determine(here):
-    """The trace of the shots' share of the information times the covariance."""
+    """Their number is the trace of the shots' share of the information times the covariance."""
     prior = shape_prior(here.target, 0.05)
     free = with_free_points(here, prior.information)
     information = compute_information(free)
     covariance = information.observability.covariance
     factor, of_shape_mm2 = shape_covariance(free)
-    whole = np.eye(len(covariance)) - covariance @ information.prior
+    share_of_shots = np.eye(len(covariance)) - covariance @ information.prior
     count = 3 * len(free.target)
-    expected = np.trace(whole[-count:, -count:])
+    expected = np.trace(share_of_shots[-count:, -count:])
     assert prior.count_determined(of_shape_mm2 / factor) == pytest.approx(expected, rel=1e-5)
 
 
@@ -239,7 +244,7 @@ def test_whitened_errors_are_independent():
 
 @pytest.mark.parametrize("noise", [1.0, 3.0])
 def test_noise_passes_the_gate_as_often_as_it_should_and_outliers_do_not(noise):
-    """Lengths of whitened errors are Rayleigh's; a noise that is larger is found out."""
+    """Lengths of whitened errors follow Rayleigh's law. Larger noise is estimated."""
     errors = noise * np.random.default_rng(0).normal(size=(4000, 2))
     errors[:40] = noise * 1.3 * TUNING.problem.gate * np.array([0.6, 0.8])
     agree = inliers(errors)

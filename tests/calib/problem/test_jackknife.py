@@ -24,8 +24,8 @@ def drawn(random, spread, prior=0.0):
     noise = random.normal(size=(SHOTS, ROWS))
     noise += np.einsum("snp,sp->sn", rows, spread * random.normal(size=(SHOTS, PARAMETERS)))
     of_shot = np.einsum("snp,snq->spq", rows, rows)
-    known = prior * np.eye(PARAMETERS)
-    covariance = np.linalg.inv(of_shot.sum(axis=0) + known)
+    prior_information = prior * np.eye(PARAMETERS)
+    covariance = np.linalg.inv(of_shot.sum(axis=0) + prior_information)
     mean = np.sqrt(prior) * random.normal(size=PARAMETERS)
     pulls = np.einsum("snp,sn->sp", rows, noise)
     # The prior's mean is off by its own error.
@@ -37,7 +37,7 @@ def drawn(random, spread, prior=0.0):
         np.zeros((SHOTS, 6, PARAMETERS)),
         np.zeros((SHOTS, 6, 6)),
         np.arange(PARAMETERS),
-        known,
+        prior_information,
         PARAMETERS,
     )
     return step, covariance, information
@@ -59,7 +59,7 @@ def normalised(spread, prior=0.0, draws=400):
 
 
 def test_sigmas_hold_in_each_direction_where_shots_disagree_in_one():
-    """As a board that bends differently in each shot moves the focal length alone."""
+    """Such a disagreement arises if the board bends differently in each shot."""
     spread = np.zeros(PARAMETERS)
     spread[0] = 1.0
     by_factor, blended = normalised(spread)
@@ -81,16 +81,16 @@ def test_what_was_known_is_not_enlarged():
 def test_one_shot_left_out_changes_a_linear_fit_by_what_the_jackknife_says():
     random = np.random.default_rng(1)
     error, covariance, information = drawn(random, 0.5)
-    whole, each = information.shot_information.sum(axis=0), information.shot_information
+    total, by_shot = information.shot_information.sum(axis=0), information.shot_information
     # Pulls at 0, where the parameters are known to be.
-    at_zero = information.gradients + each @ error
+    at_zero = information.gradients + by_shot @ error
     without = [
-        np.linalg.solve(whole - each[s], at_zero.sum(axis=0) - at_zero[s]) for s in range(SHOTS)
+        np.linalg.solve(total - by_shot[s], at_zero.sum(axis=0) - at_zero[s]) for s in range(SHOTS)
     ]
     change = np.array(without) - error
     expected = (SHOTS - 1) / SHOTS * change.T @ change
-    found = jackknife_covariance(covariance, information, 1.0)
-    np.testing.assert_allclose(np.sqrt(np.diag(found)), np.sqrt(np.diag(expected)), rtol=0.1)
+    estimate = jackknife_covariance(covariance, information, 1.0)
+    np.testing.assert_allclose(np.sqrt(np.diag(estimate)), np.sqrt(np.diag(expected)), rtol=0.1)
 
 
 def test_a_camera_that_one_shot_alone_shows_has_a_finite_covariance():
@@ -101,6 +101,6 @@ def test_a_camera_that_one_shot_alone_shows_has_a_finite_covariance():
     information = information._replace(shot_information=of_shot, gradients=pulls)
     covariance = np.linalg.inv(of_shot.sum(axis=0))
     enlarged = enlarge_covariance(covariance, 4.0, information.prior)
-    found = blend_with_jackknife(enlarged, covariance, information, 4.0)
-    assert np.all(np.linalg.eigvalsh(found) > 0)
-    assert found[0, 0] == pytest.approx(enlarged[0, 0], rel=0.9)
+    blended = blend_with_jackknife(enlarged, covariance, information, 4.0)
+    assert np.all(np.linalg.eigvalsh(blended) > 0)
+    assert blended[0, 0] == pytest.approx(enlarged[0, 0], rel=0.9)

@@ -1,4 +1,4 @@
-"""Named parameters have the covariance that their finite differences give."""
+"""The covariance of the named parameters equals that by finite differences."""
 
 import equinox as eqx
 import numpy as np
@@ -17,8 +17,8 @@ WORLDS = {"a shot": World(np.asarray(1), None), "a camera": World(None, np.asarr
 
 @pytest.fixture(scope="module")
 def here():
-    found = problem(board_poses(3))
-    return found, compute_information(found)
+    three_shots = problem(board_poses(3))
+    return three_shots, compute_information(three_shots)
 
 
 def values_after(here, head, boards, world):

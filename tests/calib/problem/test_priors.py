@@ -1,4 +1,4 @@
-"""What was known beforehand counts alike in the cost, its gradient and the information."""
+"""A prior has the same weight in the cost, its gradient and the information."""
 
 import dataclasses
 import functools
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.calib.made_shots import board_poses
-from tests.calib.problem.equations import cost_of_places
+from tests.calib.problem.equations import cost_of_points
 from tests.calib.problem.made_problem import problem
 from trinoc.calib.problem.board_shape import with_free_points
 from trinoc.calib.problem.equations import PointsProblem
@@ -23,8 +23,10 @@ KINDS = ("lens", "aim", "sheet", "places")
 
 
 def with_every_prior(sheet_model):
-    """Cameras over a sheet that stays, lenses by a factor of their covariance, places free; the
-    state is off every mean, and no place is seen: all that is left is what was known."""
+    """State, parametrization and table of cameras over a fixed sheet, with every kind of prior.
+
+    The state is off every prior mean and no point is observed, so that only the priors are left.
+    """
     random = np.random.default_rng(0)
     here = with_free_points(problem(board_poses(2)))
     parametrization, state = here.parametrization, here.state
@@ -64,7 +66,7 @@ def with_every_prior(sheet_model):
 
 
 def rows_of(parametrization, kind):
-    """Where, in the head, the steps of a kind stand that has a prior."""
+    """Rows of the head that belong to the steps of one kind of unknown with a prior."""
     slices = parametrization.slices
     rows = {
         "lens": slices.lenses,
@@ -78,24 +80,28 @@ def rows_of(parametrization, kind):
 @eqx.filter_jit
 def _cost(state, parametrization, table, loss, head):
     moved = retract(state, parametrization, head, np.zeros((len(state.rig_from_board), 6)))
-    return cost_of_places(PointsProblem(parametrization, table, loss), moved)
+    return cost_of_points(PointsProblem(parametrization, table, loss), moved)
 
 
 @functools.cache
-def known(sheet_model_name):
+def equations_with_priors(sheet_model_name):
     models = {"board": WarpedBoard(np.array([[60.0, 50.0]])), "paper": BentPaper(np.array(80.0))}
     state, parametrization, table = with_every_prior(models[sheet_model_name])
     loss = GemanMcClure.from_scale(np.full(len(table.shot), np.inf))
     equations = PointsProblem(parametrization, table, loss)
-    found = eqx.filter_jit(lambda each, at: each.equations(at))(equations, state)
-    return functools.partial(_cost, state, parametrization, table, loss), parametrization, found
+    normal_equations = eqx.filter_jit(lambda law, point: law.equations(point))(equations, state)
+    return (
+        functools.partial(_cost, state, parametrization, table, loss),
+        parametrization,
+        normal_equations,
+    )
 
 
 @pytest.mark.parametrize("sheet_model", ["board", "paper"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_prior_is_the_same_in_cost_gradient_and_information(kind, sheet_model):
-    """A cost that is quadratic in the step: its differences are exact."""
-    cost, parametrization, found = known(sheet_model)
+    """The cost is quadratic in the step, so that its differences are exact."""
+    cost, parametrization, equations = equations_with_priors(sheet_model)
     rows, random = rows_of(parametrization, kind), np.random.default_rng(1)
     for _ in range(2):
         step = np.zeros(len(parametrization.free))
@@ -105,8 +111,8 @@ def test_a_prior_is_the_same_in_cost_gradient_and_information(kind, sheet_model)
         curvature = 0.5 * (after - 2 * here + before)
         assert abs(slope) > 1e-3
         assert curvature > 1e-3
-        assert slope == pytest.approx(float(found.gradient[0] @ step), rel=1e-6)
-        assert curvature == pytest.approx(float(step @ found.information.head @ step), rel=1e-6)
+        assert slope == pytest.approx(float(equations.gradient[0] @ step), rel=1e-6)
+        assert curvature == pytest.approx(float(step @ equations.information.head @ step), rel=1e-6)
 
 
 def test_the_cost_is_the_squared_mahalanobis_distance_from_what_was_known():
@@ -135,8 +141,8 @@ def test_what_is_held_has_no_prior_to_pull_at_it():
         lambda c: c.free, parametrization, np.zeros_like(parametrization.free)
     )
     loss = GemanMcClure.from_scale(np.full(len(table.shot), np.inf))
-    found = eqx.filter_jit(lambda each, at: each.equations(at))(
+    equations = eqx.filter_jit(lambda law, point: law.equations(point))(
         PointsProblem(parametrization, table, loss), state
     )
-    np.testing.assert_array_equal(found.gradient[0], 0.0)
-    np.testing.assert_array_equal(found.information.head, 0.0)
+    np.testing.assert_array_equal(equations.gradient[0], 0.0)
+    np.testing.assert_array_equal(equations.information.head, 0.0)

@@ -1,4 +1,4 @@
-"""The prior of a board's shape: its parts, and the variances that are estimated of them."""
+"""The prior of a board's shape: its parts, and the estimates of their variances."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,8 @@ BOARD = Chessboard(rows=6, columns=9, square_mm=25.0)
 
 
 def part(prior, name):
-    (found,) = (each for each in prior.parts if each.name == name)
-    return found
+    (match,) = (each for each in prior.parts if each.name == name)
+    return match
 
 
 def deviations_mm(prior, name):
@@ -65,22 +65,22 @@ def test_a_board_of_few_corners_has_the_modes_that_they_tell_apart():
 
 
 def test_variances_of_shapes_are_found():
-    """Shapes drawn from a prior, seen with noise: the mean of many estimates is the truth."""
+    """The mean of many estimates from drawn shapes with noise is the true variance."""
     random = np.random.default_rng(0)
     true = shape_prior(BOARD, 0.05)._replace(
         variance=np.square([1e-3, 0.3, 0.06, 0.02, 0.015, 0.04])
     )
     root, noise_mm = np.linalg.cholesky(true.covariance_mm2), 0.02
-    found = []
+    variances = []
     for _ in range(12):
         size = len(root)
-        seen = root @ random.normal(size=size) + noise_mm * random.normal(size=size)
+        noisy_shape = root @ random.normal(size=size) + noise_mm * random.normal(size=size)
         prior = shape_prior(BOARD, 0.1)
         for _ in range(40):
             covariance = np.linalg.inv(prior.information + np.eye(size) / noise_mm**2)
-            shape = covariance @ seen / noise_mm**2
+            shape = covariance @ noisy_shape / noise_mm**2
             prior = prior.update(shape.reshape(-1, 3), covariance)
-        found.append(prior.variance)
-    ratio = np.sqrt(np.mean(found, axis=0) / true.variance)
+        variances.append(prior.variance)
+    ratio = np.sqrt(np.mean(variances, axis=0) / true.variance)
     np.testing.assert_allclose(ratio[2:], 1.0, atol=0.15)
-    np.testing.assert_allclose(np.ptp(found, axis=0)[:2], 0.0)
+    np.testing.assert_allclose(np.ptp(variances, axis=0)[:2], 0.0)

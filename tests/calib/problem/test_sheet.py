@@ -19,7 +19,7 @@ X_MM, Y_MM = np.array([1.0, 0.0]), np.array([0.0, 1.0])
 
 
 def paper_shape(**heights_mm: float) -> np.ndarray:
-    """The numbers of a `BentPaper` of true size with these coefficients of its height."""
+    """Shape parameters of a `BentPaper` of true size with these coefficients of its height."""
     return np.array([heights_mm.get(name, 0.0) for name in BentPaper.names])
 
 
@@ -28,12 +28,12 @@ def point_of(model, shape):
 
 
 def stretch(model, shape, direction: np.ndarray) -> np.ndarray:
-    """Length on the bent sheet of a unit of length drawn along a direction, less one."""
+    """Stretch of the bent sheet along a direction: length over drawn length, less one."""
 
     def derivative(xy):
-        place = jnp.append(xy, 0.0)
+        point = jnp.append(xy, 0.0)
         along = jnp.append(direction, 0.0)
-        return jax.jvp(lambda p: model.point(p, shape), (place,), (along,))[1]
+        return jax.jvp(lambda p: model.point(p, shape), (point,), (along,))[1]
 
     return np.linalg.norm(np.asarray(jax.vmap(derivative)(PLACES_MM)), axis=1) - 1
 
@@ -45,7 +45,7 @@ def largest_slope(model, shape) -> float:
     return float(np.abs(np.asarray(jax.vmap(jax.jacfwd(height))(jnp.asarray(PLACES_MM)))).max())
 
 
-# Of each model: bends along X alone, and the same turned to Y, in mm.
+# For each model: bends along X alone, and the same turned to Y, in mm.
 BENDS = {
     "board": (BOARD, np.array([0.0, 0.0, 2.0, 0.0]), np.array([0.0, 0.0, 0.0, 2.0])),
     "paper": (
@@ -62,7 +62,7 @@ def test_a_bend_along_one_axis_keeps_lengths_along_it_and_positions_across_it(mo
     for shape, direction, across in ((along_x, X_MM, 1), (along_y, Y_MM, 0)):
         moved = np.asarray(point_of(sheet, shape)(PLACES_MM))
         np.testing.assert_allclose(moved[:, across], PLACES_MM[:, across], atol=1e-12)
-        # What is left is of fourth order in the slopes.
+        # The remaining stretch is of fourth order in the slopes.
         slope = largest_slope(sheet, shape)
         assert slope > 0.03
         assert np.abs(stretch(sheet, shape, direction)).max() < 10 * slope**4
@@ -70,7 +70,7 @@ def test_a_bend_along_one_axis_keeps_lengths_along_it_and_positions_across_it(mo
 
 
 def test_parts_of_all_degrees_shorten_paper_by_half_the_integral_of_its_squared_slope() -> None:
-    """Bent along X alone: the displacement is that integral from the origin, to rounding."""
+    """For a bend along X alone the displacement is that integral from the origin, to rounding."""
     height = np.polynomial.Polynomial([0.0, 0.0, 2.0, -1.0, 0.5])
     x = PLACES_MM[:, 0] / REACH_MM
     expected = -0.5 * (height.deriv() ** 2).integ()(x) / REACH_MM
@@ -96,7 +96,7 @@ def test_paper_rolled_in_any_direction_lies_where_the_arc_of_a_circle_does(direc
 
 
 def test_a_cornet_is_shortened_by_all_degrees_of_its_height_together() -> None:
-    """Displacements by products of parts of unequal degree, against the exact cone."""
+    """Displacements by products of terms of unequal degree agree with the exact cone."""
     cone = ConePaper.from_sagitta(2.0, apex_mm=200.0, direction_deg=25.0)
 
     def height(xy):
@@ -110,13 +110,13 @@ def test_a_cornet_is_shortened_by_all_degrees_of_its_height_together() -> None:
         index = tuple(0 if letter == "X" else 1 for letter in term)
         factorials = np.prod([np.prod(range(1, term.count(axis) + 1)) for axis in "XY"])
         shape[term] = taylor[len(term)][index] / factorials * REACH_MM ** len(term)
-    near = PLACES_MM[np.linalg.norm(PLACES_MM, axis=1) < 60]
-    expected = np.asarray(jax.vmap(cone.point_world_mm)(near))
-    moved = np.asarray(point_of(PAPER, paper_shape(**shape))(near))
-    aside = np.abs(expected[:, :2] - near).max()
+    inner_mm = PLACES_MM[np.linalg.norm(PLACES_MM, axis=1) < 60]
+    expected = np.asarray(jax.vmap(cone.point_world_mm)(inner_mm))
+    moved = np.asarray(point_of(PAPER, paper_shape(**shape))(inner_mm))
+    aside = np.abs(expected[:, :2] - inner_mm).max()
     assert np.abs(moved - expected)[:, :2].max() < 0.03 * aside
     of_second_degree = {term: shape[term] for term in ("XX", "YY", "XY")}
-    coarse = np.asarray(point_of(PAPER, paper_shape(**of_second_degree))(near))
+    coarse = np.asarray(point_of(PAPER, paper_shape(**of_second_degree))(inner_mm))
     assert np.abs(coarse - expected)[:, :2].max() > 0.05 * aside
 
 
@@ -126,8 +126,8 @@ def test_straight_lines_through_the_origin_keep_their_length_whatever_the_bend(s
 
     def radial(xy):
         line = jnp.append(xy / jnp.linalg.norm(xy), 0.0)
-        place = jnp.append(xy, 0.0)
-        return jnp.linalg.norm(jax.jvp(lambda p: sheet.point(p, shape), (place,), (line,))[1])
+        point = jnp.append(xy, 0.0)
+        return jnp.linalg.norm(jax.jvp(lambda p: sheet.point(p, shape), (point,), (line,))[1])
 
     np.testing.assert_allclose(jax.vmap(radial)(PLACES_MM), 1.0, atol=2e-6)
 

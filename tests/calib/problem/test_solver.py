@@ -1,4 +1,4 @@
-"""The descent reaches the minimum that dense methods reach, and says whether it did."""
+"""The descent reaches the minimum that dense methods reach, and reports convergence."""
 
 import jax
 import jax.numpy as jnp
@@ -23,26 +23,26 @@ COUNT, ROWS = 6, 5
 
 
 class Decays(AbstractArrowProblem[tuple[Array, Array]]):
-    """Curves a_k exp(-b_k t) + c + d t seen at times t: c and d are shared, a_k and b_k are not.
+    """Curves a_k exp(-b_k t) + c + d t sampled at times t, with common c and d.
 
-    c has a prior of mean 0. The log of each b_k is what is stepped, so that it stays positive.
+    c has a prior of mean 0. A step changes the log of each b_k, so that it stays positive.
     """
 
     time: Float[Array, "n"]
-    seen: Float[Array, "k n"]
+    samples: Float[Array, "k n"]
     loss: GemanMcClure
     prior: Float[Array, ""]
 
     def residuals(self, state):
-        (c, d), own = state
-        amplitude, rate = own[:, :1], own[:, 1:]
-        return amplitude * jnp.exp(-rate * self.time[None]) + c + d * self.time[None] - self.seen
+        (c, d), curves = state
+        amplitude, rate = curves[:, :1], curves[:, 1:]
+        return amplitude * jnp.exp(-rate * self.time[None]) + c + d * self.time[None] - self.samples
 
     def cost(self, state):
         return jnp.sum(self.loss.rho(self.residuals(state) ** 2)) + self.prior * state[0][0] ** 2
 
     def equations(self, state):
-        zero = jnp.zeros(2), jnp.zeros((len(self.seen), 2))
+        zero = jnp.zeros(2), jnp.zeros((len(self.samples), 2))
         by_head, by_block = jax.jacfwd(
             lambda *step: self.residuals(self.retract(state, *step)), argnums=(0, 1)
         )(*zero)
@@ -64,13 +64,15 @@ class Decays(AbstractArrowProblem[tuple[Array, Array]]):
         )
 
     def retract(self, state, head, blocks):
-        shared, own = state
-        moved = jnp.stack([own[:, 0] + blocks[:, 0], own[:, 1] * jnp.exp(blocks[:, 1])], axis=1)
+        shared, curves = state
+        moved = jnp.stack(
+            [curves[:, 0] + blocks[:, 0], curves[:, 1] * jnp.exp(blocks[:, 1])], axis=1
+        )
         return shared + head, moved
 
 
 class SeparateDecays(AbstractSeparableProblem[tuple[Array, Array]]):
-    """The same curves, of which each is damped by itself."""
+    """The same curves, each damped by itself."""
 
     joint: Decays
 
@@ -88,19 +90,19 @@ class SeparateDecays(AbstractSeparableProblem[tuple[Array, Array]]):
 def decays(seed=0, scale=np.inf):
     random = np.random.default_rng(seed)
     time = jnp.linspace(0.0, 3.0, ROWS)
-    own = np.stack([random.uniform(2, 4, COUNT), random.uniform(0.5, 2, COUNT)], axis=1)
-    truth = jnp.array([0.3, -0.2]), jnp.asarray(own)
+    curves = np.stack([random.uniform(2, 4, COUNT), random.uniform(0.5, 2, COUNT)], axis=1)
+    truth = jnp.array([0.3, -0.2]), jnp.asarray(curves)
     empty = Decays(time, jnp.zeros((COUNT, ROWS)), GemanMcClure(jnp.asarray(scale)), jnp.ones(()))
-    seen = empty.residuals(truth) + 0.02 * random.normal(size=(COUNT, ROWS))
-    start = jnp.zeros(2), jnp.asarray(own * random.uniform(0.5, 1.5, own.shape))
-    return Decays(time, seen, empty.loss, empty.prior), start
+    samples = empty.residuals(truth) + 0.02 * random.normal(size=(COUNT, ROWS))
+    start = jnp.zeros(2), jnp.asarray(curves * random.uniform(0.5, 1.5, curves.shape))
+    return Decays(time, samples, empty.loss, empty.prior), start
 
 
 @pytest.mark.parametrize("scale", [np.inf, 0.5])
 @pytest.mark.parametrize("each_by_itself", [False, True])
 def test_it_ends_where_a_dense_method_does(scale, each_by_itself):
     problem, start = decays(scale=scale)
-    found = solve(SeparateDecays(problem) if each_by_itself else problem, start)
+    solution = solve(SeparateDecays(problem) if each_by_itself else problem, start)
     zero, unflatten = ravel_pytree((jnp.zeros(2), jnp.zeros((COUNT, 2))))
 
     def bounded(step):
@@ -109,22 +111,22 @@ def test_it_ends_where_a_dense_method_does(scale, each_by_itself):
         return np.append(np.sqrt(rho).ravel(), state[0][0])
 
     dense = least_squares(bounded, np.asarray(zero), xtol=1e-12, ftol=1e-12)
-    assert found.converged
-    np.testing.assert_allclose(found.cost, problem.cost(found.state), rtol=1e-12)
-    assert found.cost <= 2 * dense.cost + 1e-4
+    assert solution.converged
+    np.testing.assert_allclose(solution.cost, problem.cost(solution.state), rtol=1e-12)
+    assert solution.cost <= 2 * dense.cost + 1e-4
 
 
 def test_at_a_minimum_it_stays():
     problem, start = decays()
     first = solve(problem, start)
-    again = solve(problem, first.state)
-    assert again.converged
-    assert again.steps <= 3
-    assert again.cost <= first.cost < again.cost + 1e-4
+    second_run = solve(problem, first.state)
+    assert second_run.converged
+    assert second_run.steps <= 3
+    assert second_run.cost <= first.cost < second_run.cost + 1e-4
 
 
 def test_the_first_damping_is_that_of_the_first_step():
-    """Each step that gains divides it by ten, and is short until it is small."""
+    """Each successful step divides the damping by ten. Steps are short until it is small."""
     problem, start = decays()
     steps = [int(solve(problem, start, damping).steps) for damping in (1e-3, 1.0, 1e3)]
     assert steps[1] >= steps[0] + 1
@@ -132,12 +134,15 @@ def test_the_first_damping_is_that_of_the_first_step():
 
 
 def test_a_start_without_a_cost_is_no_answer():
-    problem, (shared, own) = decays()
-    assert not solve(problem, (shared, own.at[0, 0].set(jnp.nan))).converged
+    problem, (shared, curves) = decays()
+    assert not solve(problem, (shared, curves.at[0, 0].set(jnp.nan))).converged
 
 
 class CurvedValley(AbstractArrowProblem[tuple[Array, Array]]):
-    """x is known to 1, and y - x^2 to 1e-4: a step along the valley leaves it by its square."""
+    """Problem with x known to 1 and y - x^2 to 1e-4.
+
+    A straight step leaves the valley by the square of the step.
+    """
 
     def residuals(self, x, y):
         return jnp.concatenate([x - 0.3, (y[:, 0] - x**2) / 1e-4])
@@ -162,7 +167,7 @@ class CurvedValley(AbstractArrowProblem[tuple[Array, Array]]):
 @pytest.mark.parametrize("offset", [0.05, 0.2, -0.2])
 def test_a_curved_valley_is_crossed_by_steps_that_rise_at_first(offset):
     start = jnp.array([0.3 + offset]), jnp.array([[(0.3 + offset) ** 2]])
-    found = solve(CurvedValley(), start, LEAST_DAMPING)
-    assert found.converged
-    np.testing.assert_allclose(found.state[0], 0.3, atol=0.01)
-    assert found.steps <= 4
+    solution = solve(CurvedValley(), start, LEAST_DAMPING)
+    assert solution.converged
+    np.testing.assert_allclose(solution.state[0], 0.3, atol=0.01)
+    assert solution.steps <= 4

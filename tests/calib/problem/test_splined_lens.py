@@ -1,4 +1,4 @@
-"""A lens that no polynomial describes, found with its correction by splines."""
+"""Calibration of a lens that no polynomial describes, with a spline correction."""
 
 import pickle
 from functools import partial
@@ -47,7 +47,7 @@ unproject = jax.jit(jax.vmap(lambda lens, uv_px: lens.unproject(uv_px), (None, 0
 project = jax.jit(jax.vmap(lambda lens, ray: lens.project_ray(ray), (None, 0)))
 
 
-def seen(rays):
+def bumped_pixels(rays):
     """Pixels of a lens of Brown and Conrady with a bump."""
     uv_px = np.asarray(project(lens_of("left"), rays))
     away = np.sum((uv_px - WHERE_PX) ** 2, axis=1) / WIDTH_PX**2
@@ -55,22 +55,22 @@ def seen(rays):
 
 
 def poses(count, seed=3):
-    """The board near the camera, everywhere in its picture."""
+    """Random poses of the board near the camera, all over its image."""
     random = np.random.default_rng(seed)
-    made = []
+    board_poses = []
     for _ in range(count):
         about, tilt = random.uniform(0, 2 * np.pi), np.radians(random.uniform(15, 40))
         turn = np.asarray(rotation_from_vector(tilt * np.array([np.cos(about), np.sin(about), 0])))
         depth = random.uniform(250.0, 400.0)
-        place = depth * np.array([*random.uniform((-0.22, -0.15), (0.22, 0.15)), 1.0])
-        made.append(np.column_stack([turn @ np.diag([1.0, -1.0, -1.0]), place]))
-    return np.stack(made)
+        position_mm = depth * np.array([*random.uniform((-0.22, -0.15), (0.22, 0.15)), 1.0])
+        board_poses.append(np.column_stack([turn @ np.diag([1.0, -1.0, -1.0]), position_mm]))
+    return np.stack(board_poses)
 
 
 def detections(boards, seed=0):
     random, made = np.random.default_rng(seed), []
     for board in boards:
-        uv_px = seen(BOARD.centres_mm @ board[:, :2].T + board[:, 3])
+        uv_px = bumped_pixels(BOARD.centres_mm @ board[:, :2].T + board[:, 3])
         inside = ((uv_px > 2) & (uv_px < np.array(SIZE_PX) - 3)).all(axis=1)
         count = int(inside.sum())
         made.append(
@@ -87,7 +87,7 @@ def detections(boards, seed=0):
 
 
 def core_problem(count, seed=0):
-    """Without the bump, at the truth."""
+    """Problem of a lens without the bump, at the truth."""
     boards = poses(count)
     views = [
         BoardObservation(0, shot, each, np.ones(len(each), dtype=bool))
@@ -104,8 +104,8 @@ def test_the_equations_are_those_of_the_cost_with_control_points_and_their_prior
     prior = 9.0 * SplinedBrownConrady.correction_information()[None]
     assert_equations_are_those_of_the_cost(with_priors(here, lens_information=prior))
     lens = here.state.lenses
-    held = [lens.parameter_names.index(name) for name in lens.never_fitted]
-    assert not np.asarray(here.free)[held].any()
+    fixed_rows = [lens.parameter_names.index(name) for name in lens.never_fitted]
+    assert not np.asarray(here.free)[fixed_rows].any()
 
 
 def test_control_points_are_told_as_far_as_the_shots_know_more_than_the_prior():
@@ -116,37 +116,46 @@ def test_control_points_are_told_as_far_as_the_shots_know_more_than_the_prior():
     count = int(np.count_nonzero(np.diag(unit) > 0))
     values[:, -count:] = 0.1 * np.random.default_rng(0).normal(size=count)
     here = here._replace(state=eqx.tree_at(lambda s: s.lenses.coefficients, here.state, values))
-    squares, told = assess_corrections(here, sigma_px)
+    squares, effective_counts = assess_corrections(here, sigma_px)
     information = compute_information(here)
     covariance = np.nan_to_num(information.observability.covariance)
-    own = np.flatnonzero(np.diag(information.prior) > 0)
-    own = own[own < np.searchsorted(information.free, here.slices.lenses.stop)]
+    control_rows = np.flatnonzero(np.diag(information.prior) > 0)
+    control_rows = control_rows[
+        control_rows < np.searchsorted(information.free, here.slices.lenses.stop)
+    ]
     # The trace of what all shots say times the covariance, over the control points.
-    shown = information.shot_information.sum(axis=0)[np.ix_(information.free, information.free)]
-    assert told[0] == pytest.approx(np.trace((covariance @ shown)[np.ix_(own, own)]), rel=1e-5)
-    assert 5 < told[0] < 0.9 * len(own)
+    shots_information = information.shot_information.sum(axis=0)[
+        np.ix_(information.free, information.free)
+    ]
+    assert effective_counts[0] == pytest.approx(
+        np.trace((covariance @ shots_information)[np.ix_(control_rows, control_rows)]), rel=1e-5
+    )
+    assert 5 < effective_counts[0] < 0.9 * len(control_rows)
     parameters = lens_of_index(here, 0).parameters
     assert squares[0] == pytest.approx(parameters @ unit @ parameters)
 
 
 def test_two_fits_under_one_prior_differ_as_their_covariances_say():
-    """Of linear models, truth and noise drawn 4,000 times; `factor` : the noise's variance."""
+    """The covariance of the difference equals the scatter of 4,000 simulated linear fits.
+
+    `factor` is the variance of the noise.
+    """
     random, factor = np.random.default_rng(0), 2.0
     rows = random.normal(size=(2, 5, 4))
     prior = np.diag([4.0, 1.0, 0.0, 0.0])
     truth = random.normal(size=(4000, 4)) / np.array([2.0, 1.0, 1.0, 1.0])
     ends, covariances = [], []
-    for own in rows:
-        covariance = np.linalg.inv(own.T @ own + prior)
-        told = truth @ own.T + np.sqrt(factor) * random.normal(size=(4000, 5))
-        ends.append(told @ own @ covariance)
+    for design in rows:
+        covariance = np.linalg.inv(design.T @ design + prior)
+        observations = truth @ design.T + np.sqrt(factor) * random.normal(size=(4000, 5))
+        ends.append(observations @ design @ covariance)
         covariances.append(covariance)
     first, second = covariances
     expected = covariance_of_difference(first, second, prior, factor)
-    found = np.cov((ends[0] - ends[1]).T)
+    scatter = np.cov((ends[0] - ends[1]).T)
     scale = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(
-        found / np.outer(scale, scale), expected / np.outer(scale, scale), atol=0.1
+        scatter / np.outer(scale, scale), expected / np.outer(scale, scale), atol=0.1
     )
 
 
@@ -156,8 +165,7 @@ def field_px():
 
 
 def field_error(lens, covariance):
-    """Errors (n, 2) over the field in px, and their covariance by the claimed one, a turn of the
-    camera taken out."""
+    """Errors (n, 2) over the field in px and their reported covariance, without a camera turn."""
     rays = unproject(lens_of("left"), field_px())
 
     @jax.jit
@@ -170,9 +178,9 @@ def field_error(lens, covariance):
 
     by_step, uv_px = by_parameters(jnp.zeros(len(lens.parameters) + 3))
     by_lens, by_turn = np.asarray(by_step)[:, :-3], np.asarray(by_step)[:, -3:]
-    apart = np.eye(len(by_turn)) - by_turn @ np.linalg.pinv(by_turn)
-    by_lens = apart @ by_lens
-    return apart @ (uv_px - seen(rays).ravel()), by_lens @ covariance @ by_lens.T
+    without_turn = np.eye(len(by_turn)) - by_turn @ np.linalg.pinv(by_turn)
+    by_lens = without_turn @ by_lens
+    return without_turn @ (uv_px - bumped_pixels(rays).ravel()), by_lens @ covariance @ by_lens.T
 
 
 def corrected(seed):
@@ -190,14 +198,17 @@ def corrected(seed):
 
 @pytest.mark.slow
 def test_a_bump_is_found_as_well_as_is_claimed():
-    """The error of one fit is smooth over the field, so that one draw says little: six are .45 to
-    1.33 of what is claimed."""
+    """The error over six fits has the reported size.
+
+    The error of one fit is smooth over the field, so that its ratio to the reported one varies from
+    .45 to 1.33.
+    """
     fits = [corrected(seed) for seed in range(6)]
-    ratios = [np.mean(error**2) / np.mean(np.diag(claimed)) for _, _, error, claimed in fits]
+    ratios = [np.mean(error**2) / np.mean(np.diag(reported)) for _, _, error, reported in fits]
     assert 0.8 < np.sqrt(np.mean(ratios)) < 1.25
     end, lens, error, _ = fits[0]
-    near = np.linalg.norm(field_px() - WHERE_PX, axis=1) < 1.5 * WIDTH_PX
-    assert np.sqrt(np.mean(error.reshape(-1, 2)[near] ** 2)) < SIGMA_PX
+    is_near_bump = np.linalg.norm(field_px() - WHERE_PX, axis=1) < 1.5 * WIDTH_PX
+    assert np.sqrt(np.mean(error.reshape(-1, 2)[is_near_bump] ** 2)) < SIGMA_PX
     moved_px = np.asarray(project(lens, unproject(lens.core, WHERE_PX[None]))) - WHERE_PX[None]
     assert np.abs(moved_px).max() > 0.3
     assert end.sigma_factor[0] == pytest.approx(1.0, abs=0.1)
@@ -209,24 +220,24 @@ def test_a_bump_is_found_as_well_as_is_claimed():
 @pytest.mark.slow
 def test_a_rig_is_calibrated_with_splines_where_its_shots_ask_for_them(tmp_path):
     shots = {"left": detections(poses(24))}
-    found = calibrate_rig(shots, BOARD, lens_model="auto", systematics=Systematics())
-    assert " and need a correction by splines" in found.notes[0]
-    assert "splined_brown_conrady was chosen" in found.notes[0]
-    assert found.halves is not None
-    assert found.cross_validation is not None
-    assert found.has_rig
-    assert found.halves.ratio == pytest.approx(1.0, abs=0.3)
-    assert found.cross_validation.own_px["left"] < 1.3 * np.sqrt(2) * SIGMA_PX
-    assert "du_3_4" not in found.summary()
-    assert found.sigma("left.du_3_4") > 0.0
-    save(found.rig, tmp_path / "rig.json")
+    result = calibrate_rig(shots, BOARD, lens_model="auto", systematics=Systematics())
+    assert " and need a correction by splines" in result.notes[0]
+    assert "splined_brown_conrady was chosen" in result.notes[0]
+    assert result.halves is not None
+    assert result.cross_validation is not None
+    assert result.has_rig
+    assert result.halves.ratio == pytest.approx(1.0, abs=0.3)
+    assert result.cross_validation.own_px["left"] < 1.3 * np.sqrt(2) * SIGMA_PX
+    assert "du_3_4" not in result.summary()
+    assert result.sigma("left.du_3_4") > 0.0
+    save(result.rig, tmp_path / "rig.json")
     back = load_rig(tmp_path / "rig.json")
-    np.testing.assert_allclose(back.covariance, found.rig.covariance, rtol=1e-12)
+    np.testing.assert_allclose(back.covariance, result.rig.covariance, rtol=1e-12)
 
 
 @pytest.mark.slow
 def test_one_camera_is_corrected_from_its_circles():
-    """The residuals of circles without a correction are several times those with it."""
+    """The correction reduces the residuals of the circles to less than a fifth."""
     middle, width = np.array([330.0, 180.0]), 60.0
     bent = []
     for each in simulated_lens.detections(simulated_lens.good_poses(0, 12), seed=1):
@@ -235,14 +246,14 @@ def test_one_camera_is_corrected_from_its_circles():
         bent.append(eqx.tree_at(lambda detection: detection.centres_px, each, moved))
     sheet = simulated_lens.SHEET
     plain = calibrate_intrinsics(bent, sheet)
-    found = calibrate_intrinsics(bent, sheet, lens_model="splined")
-    assert found.has_rig
-    assert found.lens.distortion_model == "splined_brown_conrady"
-    assert found.rms_px() < 0.2 * plain.rms_px()
-    assert 0.8 < found.reduced_chi_square < 1.2
-    assert found.fits["camera"].rank == len(simulated_lens.fitted_names(found)) == 249
-    assert "du_3_4" not in found.summary()
-    assert any("in addition to the brown_conrady model" in note for note in found.notes)
+    result = calibrate_intrinsics(bent, sheet, lens_model="splined")
+    assert result.has_rig
+    assert result.lens.distortion_model == "splined_brown_conrady"
+    assert result.rms_px() < 0.2 * plain.rms_px()
+    assert 0.8 < result.reduced_chi_square < 1.2
+    assert result.fits["camera"].rank == len(simulated_lens.fitted_names(result)) == 249
+    assert "du_3_4" not in result.summary()
+    assert any("in addition to the brown_conrady model" in note for note in result.notes)
 
 
 def test_a_rig_is_pickled_and_other_tools_files_say_that_they_cannot_hold_it(tmp_path):

@@ -1,4 +1,4 @@
-"""Cameras without a common trigger: lenses as of each camera alone, and sigmas that hold."""
+"""Cameras without a common trigger: lenses as good as from each camera alone, and true sigmas."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ SHOTS, SIGMA_PX = 14, 0.05
 
 
 def moving(seed, motion_mm=0.6, motion_deg=0.1):
-    """The right camera sees the board a moment later, when it has moved and turned a little."""
+    """Detections of a moving board. The right camera sees it later, slightly moved and turned."""
     random = np.random.default_rng(seed)
     images = {"left": {}, "right": {}}
     for number, pose in enumerate(board_poses(SHOTS, seed)):
@@ -26,8 +26,8 @@ def moving(seed, motion_mm=0.6, motion_deg=0.1):
         turn = np.radians(motion_deg) * random.normal(size=3)
         later[:, :3] = np.asarray(rotation_from_vector(turn)) @ pose[:, :3]
         later[:, 3] += motion_mm * random.normal(size=3)
-        for name, own in (("left", pose), ("right", later)):
-            images[name][f"shot {number}"] = detection(name, own, random, sigma_px=SIGMA_PX)
+        for name, shown_pose in (("left", pose), ("right", later)):
+            images[name][f"shot {number}"] = detection(name, shown_pose, random, sigma_px=SIGMA_PX)
     return images
 
 
@@ -37,11 +37,12 @@ MOTION = 0.4 * np.ones((POSE_SIZE, POSE_SIZE)) + 0.6 * np.eye(POSE_SIZE)
 
 
 def motion_by_drawn_steps(noise=0.9, larger=1.0, shots=600):
-    """The covariance of the motion over its standard deviations, from steps of the poses of two
-    images in each shot: a motion of each image by MOTION, and noise of its corners.
+    """Estimated covariance of the motion over its standard deviations, from drawn steps of poses.
 
-    noise : its standard deviation over that of the motion.
-    larger : by how much the motion is larger in 12 of the shots.
+    Each shot has two images, with a motion drawn from MOTION and noise of the corners in each.
+
+    noise : standard deviation of the noise over that of the motion.
+    larger : factor of the motion in 12 of the shots.
     """
     random, size = np.random.default_rng(4), POSE_SIZE
     here = problem(board_poses(1))
@@ -63,7 +64,7 @@ def test_the_covariance_of_the_motion_is_that_of_one_image_without_the_noise_of_
 
 
 def test_a_few_shots_of_a_far_larger_motion_hardly_enlarge_it():
-    """A fiftieth of the shots, in which the board moves 20 times as far."""
+    """In a fiftieth of the shots the board moves 20 times as far."""
     assert np.trace(motion_by_drawn_steps(larger=20.0)) / POSE_SIZE < 1.5
 
 
@@ -78,13 +79,13 @@ def test_the_cause_is_named_with_its_size(fits):
 
 
 def test_sigmas_of_corners_are_those_of_each_camera_alone(fits):
-    """The motion is some ten times the corners' noise, and must not be taken for it."""
+    """The motion is about ten times the noise of the corners and must not be included in it."""
     for result in fits:
         assert all(0.8 < fit.sigma_factor < 1.3 for fit in result.fits.values())
 
 
 def test_lenses_are_as_good_as_those_of_cameras_alone(fits):
-    """Errors of focal lengths have the stated sigma, which is no larger than alone."""
+    """Errors of focal lengths have the reported sigma, which is no larger than for one camera."""
     normalised = []
     for seed, result in enumerate(fits):
         alone = calibrate_rig({"left": moving(seed)["left"]}, BOARD, systematics=Systematics())
@@ -116,7 +117,7 @@ def _baseline_mm():
 
 
 def test_the_prior_of_the_shape_does_not_pull_at_the_size():
-    """A board whose corners lie aside keeps the size that was stated: no image shows another."""
+    """A board with displaced corners keeps its stated size, which no image contradicts."""
     random = np.random.default_rng(1)
     aside_mm = 0.2 * random.normal(size=(len(BOARD), 3))
     images = {
@@ -126,8 +127,8 @@ def test_the_prior_of_the_shape_does_not_pull_at_the_size():
         }
         for name in ("left", "right")
     }
-    known = Systematics(print_size_sigma=0.01, flatness_mm=0.3)
-    result = calibrate_rig(images, BOARD, systematics=known)
+    systematics = Systematics(print_size_sigma=0.01, flatness_mm=0.3)
+    result = calibrate_rig(images, BOARD, systematics=systematics)
     assert len(result.place_shifts_mm)
     size = 0.5 * (result.value("board.scale_x") + result.value("board.scale_y"))
     assert abs(size) < 1e-4

@@ -1,4 +1,4 @@
-"""Baseline and relative rotation of a pair of cameras: as true as said, whatever the world is."""
+"""Baseline and rotation of a pair of cameras have true sigmas, in any world frame."""
 
 import jax
 import numpy as np
@@ -28,24 +28,24 @@ def sigmas_of(pair: CameraPair) -> np.ndarray:
 
 
 def true_pair(first: str, second: str) -> np.ndarray:
-    """Baseline and rotation of the made cameras, by matrices."""
+    """True baseline and rotation of two simulated cameras, computed by matrices."""
     step = chained(cam_from_rig(second), inverse(cam_from_rig(first)))
     turn = Rotation.from_matrix(step[:, :3].T).as_rotvec(degrees=True)
     return np.array([np.linalg.norm(step[:, 3]), np.linalg.norm(turn), *turn])
 
 
 @pytest.fixture(scope="module")
-def found():
+def calibration():
     return calibrate_rig(shots(), BOARD, systematics=EXACT)
 
 
-def test_every_pair_is_there_and_the_first_camera_comes_first(found):
-    names = [(pair.first, pair.second) for pair in found.pairs]
+def test_every_pair_is_there_and_the_first_camera_comes_first(calibration):
+    names = [(pair.first, pair.second) for pair in calibration.pairs]
     assert names == [("left", "middle"), ("left", "right"), ("middle", "right")]
 
 
-def test_pairs_are_what_was_made(found):
-    for pair in found.pairs:
+def test_pairs_are_what_was_made(calibration):
+    for pair in calibration.pairs:
         error = numbers_of(pair) - true_pair(pair.first, pair.second)
         assert np.all(np.abs(error) < 4.5 * sigmas_of(pair))
         pose = Pose(pair.second_from_first)
@@ -54,16 +54,16 @@ def test_pairs_are_what_was_made(found):
 
 
 @pytest.mark.parametrize("world", ["shot 6", "middle"])
-def test_the_world_does_not_matter(world, found):
-    """Neither a board under the cameras nor a camera, whose parameters are other ones."""
+def test_the_world_does_not_matter(world, calibration):
+    """The pairs are the same in the frame of another board and in that of a camera."""
     other = calibrate_rig(shots(), BOARD, systematics=EXACT, world=world)
-    for pair, same in zip(found.pairs, other.pairs, strict=True):
+    for pair, same in zip(calibration.pairs, other.pairs, strict=True):
         np.testing.assert_allclose(numbers_of(same), numbers_of(pair), rtol=1e-5, atol=1e-5)
         np.testing.assert_allclose(sigmas_of(same), sigmas_of(pair), rtol=2e-4)
 
 
 def test_baselines_and_rotations_scatter_as_is_said():
-    """Over noise drawn anew: the sum of squared errors over sigmas is a chi-square."""
+    """Over draws of the noise, the sum of squared normalised errors is a chi-square."""
     squared = np.zeros(5)
     runs = 12
     for seed in range(runs):
@@ -81,13 +81,15 @@ def test_baselines_and_rotations_scatter_as_is_said():
 
 @pytest.mark.parametrize("model", [PoseModel.AIM_FREE, PoseModel.RIGID])
 def test_sigmas_are_those_of_cameras_drawn_from_the_covariance(model):
-    """Without the derivatives: by drawing parameters, beyond a quarter turn as well."""
+    """The sigmas equal the scatter of drawn cameras, even for angles beyond a quarter turn."""
     random = np.random.default_rng(3)
     cameras = {
         "a": Camera.from_degrees(LENS, pan_deg=-70, tilt_deg=40, swing_deg=5, distance_mm=500),
         "b": Camera.from_degrees(LENS, pan_deg=65, tilt_deg=35, swing_deg=-8, distance_mm=450),
     }
-    parameters = tuple(f"{name}.{own}" for name in cameras for own in model.parameter_names)
+    parameters = tuple(
+        f"{name}.{parameter}" for name in cameras for parameter in model.parameter_names
+    )
     scale = np.tile([0.01, 0.01, 0.01, 0.1, 0.1, 0.1], 2)
     root = np.tril(random.uniform(-1, 1, (12, 12))) * scale[:, None]
     covariance = root @ root.T
@@ -126,26 +128,28 @@ def _drawn_poses(camera: Camera, model: PoseModel, change: np.ndarray) -> np.nda
 
 def test_a_board_of_uncertain_size_moves_baselines_by_its_share_and_turns_by_nothing():
     share = 2e-3
-    seen = shots(cameras=("left", "right"))
-    (exact,) = calibrate_rig(seen, BOARD, systematics=EXACT).pairs
-    (sized,) = calibrate_rig(seen, BOARD, systematics=Systematics(print_size_sigma=share)).pairs
+    detections = shots(cameras=("left", "right"))
+    (exact,) = calibrate_rig(detections, BOARD, systematics=EXACT).pairs
+    (sized,) = calibrate_rig(
+        detections, BOARD, systematics=Systematics(print_size_sigma=share)
+    ).pairs
     assert exact.size_sigma_mm == 0.0
     assert exact.rest_sigma_mm == exact.baseline_sigma_mm
     assert sized.size_sigma_mm == pytest.approx(share * sized.baseline_mm, rel=1e-2)
     assert sized.rest_sigma_mm == pytest.approx(exact.rest_sigma_mm, rel=2e-2)
-    whole = np.hypot(sized.size_sigma_mm, sized.rest_sigma_mm)
-    assert sized.baseline_sigma_mm == pytest.approx(whole, rel=1e-9)
+    total_sigma = np.hypot(sized.size_sigma_mm, sized.rest_sigma_mm)
+    assert sized.baseline_sigma_mm == pytest.approx(total_sigma, rel=1e-9)
     np.testing.assert_allclose(sized.turn_sigma_deg, exact.turn_sigma_deg, rtol=1e-2)
 
 
 def test_cameras_that_share_their_error_have_no_error_between_them():
-    """Both turn and move as one rigid body: nothing between them changes."""
+    """Both cameras turn and move as one rigid body, so that their relative pose is constant."""
     cameras = {
         "a": Camera.from_degrees(LENS, pan_deg=-20, tilt_deg=40, swing_deg=5, distance_mm=500),
         "b": Camera.from_degrees(LENS, pan_deg=30, tilt_deg=35, swing_deg=-8, distance_mm=450),
     }
     parameters = tuple(
-        f"{name}.{own}" for name in cameras for own in PoseModel.RIGID.parameter_names
+        f"{name}.{parameter}" for name in cameras for parameter in PoseModel.RIGID.parameter_names
     )
     about = np.array([0.01, -0.02, 0.015])
     response = np.concatenate(
@@ -160,10 +164,13 @@ def test_cameras_that_share_their_error_have_no_error_between_them():
     assert np.all(sigmas_of(pair) < 1e-6)
 
 
-def test_a_failed_fit_has_no_pairs(found):
-    assert LENSES.keys() == set(found.cameras)
+def test_a_failed_fit_has_no_pairs(calibration):
+    assert LENSES.keys() == set(calibration.cameras)
     result = calibrate_rig(
-        {name: own[:1] for name, own in shots().items()}, BOARD, systematics=EXACT, throw=False
+        {name: detections[:1] for name, detections in shots().items()},
+        BOARD,
+        systematics=EXACT,
+        throw=False,
     )
     assert not result.has_rig
     assert result.pairs == ()

@@ -1,4 +1,4 @@
-"""A rig that stands still is left in peace; a knocked camera is named and corrected."""
+"""A rig at rest raises no alarm; a knocked camera is named and corrected."""
 
 import numpy as np
 import pytest
@@ -85,11 +85,13 @@ def test_matching_again_while_checking_finds_the_camera():
 
 
 @pytest.mark.parametrize(
-    ("share", "camera", "asked"),
+    ("share", "camera", "is_matched_again"),
     [(0.6, None, False), (0.4, None, True), (0.6, "right", True)],
     ids=["at rest", "lines may be hidden", "a motion shows"],
 )
-def test_a_scene_is_matched_again_only_where_something_calls_for_it(share, camera, asked):
+def test_a_scene_is_matched_again_only_where_something_calls_for_it(
+    share, camera, is_matched_again
+):
     lines, _, _ = made_tracks(84, 100)
     calls = []
 
@@ -108,7 +110,7 @@ def test_a_scene_is_matched_again_only_where_something_calls_for_it(share, camer
         Tracks(),
         match_again=match_again,
     )
-    assert bool(calls) is asked
+    assert bool(calls) is is_matched_again
 
 
 def test_another_limit_of_suspicion_is_used_after_a_call_with_the_default():

@@ -1,4 +1,4 @@
-"""A chi-square counts as the deviation of one normal number that is as improbable."""
+"""A chi-square is stated as the deviation of a normal number with the same probability."""
 
 import numpy as np
 import pytest
@@ -30,9 +30,9 @@ def test_it_is_exceeded_as_seldom(chi_square: float, freedom: int) -> None:
 
 @pytest.mark.parametrize("freedom", [1, 6, 12])
 def test_a_change_too_improbable_for_a_number_still_grows(freedom: int) -> None:
-    each = [sigmas_of_chi_square(x, freedom) for x in np.linspace(1000.0, 4000.0, 200)]
-    assert np.all(np.diff(each) > 0)
-    assert each[-1] == pytest.approx(np.sqrt(4000.0))
+    deviations = [sigmas_of_chi_square(x, freedom) for x in np.linspace(1000.0, 4000.0, 200)]
+    assert np.all(np.diff(deviations) > 0)
+    assert deviations[-1] == pytest.approx(np.sqrt(4000.0))
 
 
 def test_a_change_is_measured_by_the_variances_of_both_rigs() -> None:
@@ -60,7 +60,7 @@ NAMES = tuple(f"a.{name}" for name in PARAMETER_NAMES)
 
 
 def drawn(rig: Rig, covariance: np.ndarray, random: np.random.Generator) -> Rig:
-    """The rig with errors of that covariance."""
+    """The rig with errors drawn from this covariance."""
     off = dict(
         zip(NAMES, random.multivariate_normal(np.zeros(len(NAMES)), covariance), strict=True)
     )

@@ -1,4 +1,4 @@
-"""Which cameras' pictures were exchanged is said only where one pair alone explains the shot."""
+"""Two cameras are reported as exchanged only if no other pair explains the shot."""
 
 import numpy as np
 import pytest

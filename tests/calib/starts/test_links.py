@@ -1,4 +1,4 @@
-"""A link of two cameras holds where more shots agree on it than chance makes."""
+"""A link of two cameras is accepted if more shots agree on it than by chance."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Poses of boards: from rays, chained, and of a board that looks the same turned."""
+"""Poses of boards: from rays, in chains, and of boards with rotational symmetry."""
 
 import jax
 import numpy as np
@@ -19,17 +19,17 @@ def test_a_plane_pose_is_found_from_its_rays(focal_px):
         turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
         pose = np.column_stack([turn @ pose[:, :3], [70.0, 0.0, 10.0]])
     lens = KannalaBrandt(np.full(2, focal_px), np.array([320.0, 240.0]), np.zeros(()), np.zeros(4))
-    seen = BOARD.centres_mm @ pose[:, :2].T + pose[:, 3]
-    assert (seen[:, 2] < 0).any() == (focal_px < 200.0)
-    rays = jax.jit(jax.vmap(lambda ray: lens.unproject(lens.project_ray(ray))))(seen)
-    found = plane_pose(np.asarray(rays), BOARD.centres_mm)
-    assert found is not None
-    np.testing.assert_allclose(found.cam_from_world, pose, atol=1e-6)
+    in_camera_mm = BOARD.centres_mm @ pose[:, :2].T + pose[:, 3]
+    assert (in_camera_mm[:, 2] < 0).any() == (focal_px < 200.0)
+    rays = jax.jit(jax.vmap(lambda ray: lens.unproject(lens.project_ray(ray))))(in_camera_mm)
+    solution = plane_pose(np.asarray(rays), BOARD.centres_mm)
+    assert solution is not None
+    np.testing.assert_allclose(solution.cam_from_world, pose, atol=1e-6)
 
 
 def test_points_on_a_line_have_no_pose():
-    places = np.stack([np.arange(6.0), np.zeros(6)], axis=1)
-    assert plane_pose(np.pad(places, ((0, 0), (0, 1)), constant_values=9.0), places) is None
+    points_mm = np.stack([np.arange(6.0), np.zeros(6)], axis=1)
+    assert plane_pose(np.pad(points_mm, ((0, 0), (0, 1)), constant_values=9.0), points_mm) is None
 
 
 def test_poses_are_chained_and_undone_as_matrices_are():

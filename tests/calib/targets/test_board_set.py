@@ -1,4 +1,4 @@
-"""Boards of a set can be told apart, are found beside each other, and come back from their file."""
+"""Boards of a set are distinguishable, are detected in one image, and are read from their file."""
 
 import cv2
 import numpy as np
@@ -51,12 +51,12 @@ def test_boards_that_differ_are_a_set() -> None:
     assert len(boards) == len(CHESS) + len(TAGS) + len(MARKED) + len(SHEET)
     np.testing.assert_array_equal(np.bincount(boards.board_of_point), [30, 24, 24, 20])
     BoardSet([TAGS, AprilGrid(rows=2, columns=3, tag_mm=30.0, first=18, name="next")])
-    for wrong, says in (
+    for wrong, message in (
         ([], "at least one"),
         ([boards], "is itself a set"),
         ([CHESS, CHESS], "Two boards have the name"),
     ):
-        with pytest.raises(InputError, match=says):
+        with pytest.raises(InputError, match=message):
             BoardSet(wrong)
 
 
@@ -91,14 +91,14 @@ def test_boards_are_found_beside_each_other_and_told_apart() -> None:
             corners = polygon.corners_mm * [scale, -scale] + middles[name]
             cv2.fillPoly(picture, [np.rint(corners * 2**shift).astype(np.int32)], 20,
                          cv2.LINE_AA, shift)  # fmt: skip
-    found = detect_target(cv2.GaussianBlur(picture, (0, 0), 0.8), boards)
-    parts = split_by_board(found, boards)
+    detection = detect_target(cv2.GaussianBlur(picture, (0, 0), 0.8), boards)
+    parts = split_by_board(detection, boards)
     assert sorted(parts) == [0, 1, 2]
     for number, name in enumerate(boards.names):
-        own = parts[number]
-        assert len(own) == len(boards.boards[number])
-        expected = boards.centres_mm[own.circle_index] * [scale, -scale] + middles[name]
-        np.testing.assert_allclose(own.centres_px, expected, atol=0.6)
+        part = parts[number]
+        assert len(part) == len(boards.boards[number])
+        expected = boards.centres_mm[part.circle_index] * [scale, -scale] + middles[name]
+        np.testing.assert_allclose(part.centres_px, expected, atol=0.6)
     # A chessboard with an odd and an even number of corners looks itself turned by half.
     assert CHESS.turns.shape[0] == (
         1 if parts[0].ambiguity is None else 1 + len(parts[0].ambiguity)

@@ -1,4 +1,4 @@
-"""What is printed of a board has its places where the board says, and is what OpenCV prints."""
+"""Printed boards have their points where the board states them, and equal OpenCV's prints."""
 
 from dataclasses import replace
 
@@ -23,17 +23,17 @@ SQUARES = {
 }
 
 
-def is_ink(board, places_mm):
-    """Whether each place (n, 2) is ink: the figure painted last over it says."""
-    inked = np.zeros(len(places_mm), dtype=bool)
+def is_ink(board, points_mm):
+    """Mask of the points (n, 2) that are ink, by the figure painted last over each point."""
+    inked = np.zeros(len(points_mm), dtype=bool)
     for figure in board.drawing():
         if isinstance(figure, Disc):
-            inside = np.hypot(*(places_mm - figure.centre_mm).T) < figure.radius_mm
+            inside = np.hypot(*(points_mm - figure.centre_mm).T) < figure.radius_mm
         else:
             corners = figure.corners_mm
             along = np.roll(corners, -1, axis=0) - corners
             out = np.stack([along[:, 1], -along[:, 0]], axis=1)
-            side = np.einsum("ki,nki->nk", out, places_mm[:, None] - corners)
+            side = np.einsum("ki,nki->nk", out, points_mm[:, None] - corners)
             inside = (side < 0).all(axis=1) | (side > 0).all(axis=1)
         inked[inside] = figure.is_ink
     return inked
@@ -48,8 +48,8 @@ def test_every_place_is_a_corner_between_two_inked_fields_and_two_of_paper(name)
     np.testing.assert_array_equal(fields[:, 1], fields[:, 3])
     assert (fields[:, 0] != fields[:, 1]).all()
     # Every place is one of the nodes to which edges belong.
-    apart = np.linalg.norm(board.centres_mm[:, None] - board.nodes_mm, axis=2)
-    assert apart.min(axis=1).max() < 1e-9
+    node_distances = np.linalg.norm(board.centres_mm[:, None] - board.nodes_mm, axis=2)
+    assert node_distances.min(axis=1).max() < 1e-9
 
 
 @pytest.mark.parametrize("style", ["stop", "through", "white"])
@@ -58,8 +58,8 @@ def test_every_circle_is_where_the_sheet_says(style):
     angle = np.deg2rad(45.0 + 90.0 * np.arange(4))
     around = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     for radii, inked in ((1.05, False), (0.95, True), (0.45, None)):
-        places = sheet.centres_mm[:, None] + radii * sheet.radius_mm[:, None, None] * around
-        shown = is_ink(sheet, places.reshape(-1, 2)).reshape(-1, 4)
+        points_mm = sheet.centres_mm[:, None] + radii * sheet.radius_mm[:, None, None] * around
+        shown = is_ink(sheet, points_mm.reshape(-1, 2)).reshape(-1, 4)
         expected = ~sheet.is_ring[:, None] if inked is None else inked
         np.testing.assert_array_equal(shown, np.broadcast_to(expected, shown.shape))
 
@@ -74,12 +74,12 @@ def test_a_charuco_board_is_opencv_s(rows, columns, legacy):
     np.testing.assert_allclose(board.markers_mm, (middles - half_mm) * [1, -1], atol=1e-5)
     picture = theirs.generateImage((columns * 48, rows * 48), marginSize=0)
     row, column = np.indices(picture.shape)[:, 2::5, 2::5].reshape(2, -1)
-    places = (np.stack([column, row], axis=1) + 0.5) / 6.0 - half_mm
-    np.testing.assert_array_equal(is_ink(board, places * [1, -1]), picture[row, column] < 128)
+    points_mm = (np.stack([column, row], axis=1) + 0.5) / 6.0 - half_mm
+    np.testing.assert_array_equal(is_ink(board, points_mm * [1, -1]), picture[row, column] < 128)
 
 
 def on_board(board, step_mm=1.1):
-    """Positions all over a board of squares."""
+    """Grid of positions that covers a board of squares."""
     half = 0.5 * board.square_mm * np.array([board.columns, board.rows])
     axes = [np.arange(-side + 0.3, side, step_mm) for side in half]
     return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
@@ -109,7 +109,8 @@ def test_the_ink_of_the_fit_of_grey_levels_is_that_of_the_drawing(name):
     sheet = square_sheet(board)
     positions = np.random.default_rng(0).uniform(-100, 100, (4000, 2))
     column, row = (
-        np.searchsorted(at, positions[:, k]) for k, at in enumerate((sheet.x_mm, sheet.y_mm))
+        np.searchsorted(edges_mm, positions[:, k])
+        for k, edges_mm in enumerate((sheet.x_mm, sheet.y_mm))
     )
     np.testing.assert_array_equal(sheet.ink[row, column], is_ink(board, positions))
 
@@ -120,8 +121,8 @@ def test_a_tag_is_the_dictionary_s_and_turns_as_a_whole():
     row, column = np.indices(tag.shape)[:, 3::7, 3::7].reshape(2, -1)
     offset = 40.0 * np.stack([(column + 0.5) / 80 - 0.5, 0.5 - (row + 0.5) / 80], axis=1)
     # The third tag, of number 9.
-    places = board.tags_mm[2] + offset
-    np.testing.assert_array_equal(is_ink(board, places), tag[row, column] < 128)
+    points_mm = board.tags_mm[2] + offset
+    np.testing.assert_array_equal(is_ink(board, points_mm), tag[row, column] < 128)
     for quarters in range(4):
         cells = board.cell_grids(quarters=quarters)[2].is_ink
         plain = marker_cells(opencv_dictionary(board.dictionary), 9, border=2)

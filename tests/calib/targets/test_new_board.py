@@ -1,4 +1,4 @@
-"""A new kind of board: a class and a detector are enough for sets, files, drawings, the command."""
+"""A new kind of board needs only a class and a detector for sets, files, drawings, the command."""
 
 from typing import ClassVar
 
@@ -22,7 +22,7 @@ from trinoc.io.pattern_png import pattern_picture
 
 
 class Steps(AbstractSquareBoard):
-    """Squares of ink that touch at one corner each, up a diagonal."""
+    """Board of inked squares that touch at one corner each, along a diagonal."""
 
     kind: ClassVar[str] = "steps"
     layout: ClassVar[dict[str, str]] = {"count": "rows", "square_mm": "square_mm"}
@@ -55,11 +55,11 @@ class Steps(AbstractSquareBoard):
 
 
 def detect_steps(image, board, tuning):
-    """Corners of a picture that is square to the board and a millimetre a pixel."""
+    """Detect the corners in an image that is square to the board, at one mm per pixel."""
     middle = 0.5 * np.array(image.shape[::-1]) - 0.5
-    places = board.centres_mm * [1.0, -1.0] + middle
+    corners_px = board.centres_mm * [1.0, -1.0] + middle
     order = np.arange(len(board))[None]
-    return build_detection(order, places, np.tile(np.eye(2), (len(board), 1, 1)), image.shape)
+    return build_detection(order, corners_px, np.tile(np.eye(2), (len(board), 1, 1)), image.shape)
 
 
 @pytest.fixture(autouse=True)
@@ -80,11 +80,11 @@ def test_it_is_drawn_saved_found_and_a_part_of_sets(tmp_path):
     with pytest.raises(InputError, match="look alike in an image: both climb"):
         BoardSet({"a": board, "b": Steps(rows=5, square_mm=3.0)})
     BoardSet({"a": board, "b": Steps(rows=6, square_mm=3.0)})
-    found = detect_target(picture, board)
+    detection = detect_target(picture, board)
     corner = cv2.cornerSubPix(
-        picture, found.centres_px.astype(np.float32), (3, 3), (-1, -1), (3, 30, 1e-3)
+        picture, detection.centres_px.astype(np.float32), (3, 3), (-1, -1), (3, 30, 1e-3)
     )
-    np.testing.assert_allclose(corner, found.centres_px, atol=0.1)
+    np.testing.assert_allclose(corner, detection.centres_px, atol=0.1)
 
 
 def test_the_command_draws_it(tmp_path):

@@ -1,4 +1,4 @@
-"""The sheet: what every constructor promises, and codes that name a place."""
+"""Laws of all constructors of the sheet, and codes that identify a position."""
 
 import numpy as np
 import pytest
@@ -81,10 +81,10 @@ def test_lattice_neighbours_are_the_nearest_circles(grid, asymmetric):
         )
     else:
         pattern = Pattern.circle_grid(rows=rows, columns=columns, pitch_mm=20, radius_mm=5)
-    apart = np.abs(pattern.lattice[:, None] - pattern.lattice[None]).sum(axis=2)
+    lattice_distance = np.abs(pattern.lattice[:, None] - pattern.lattice[None]).sum(axis=2)
     distance = np.linalg.norm(pattern.centres_mm[:, None] - pattern.centres_mm[None], axis=2)
-    nearest = np.min(distance[apart > 0])
-    np.testing.assert_allclose(distance[apart == 1], nearest)
+    nearest = np.min(distance[lattice_distance > 0])
+    np.testing.assert_allclose(distance[lattice_distance == 1], nearest)
 
 
 @given(x=st.floats(0.99, 1.01), y=st.floats(0.99, 1.01))
@@ -99,7 +99,7 @@ def test_rescaling_back_gives_the_sheet_again(x, y):
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "message"),
     [
         ({"radius_mm": 11.0}, "overlap"),
         ({"radius_mm": -1.0}, "not positive"),
@@ -111,9 +111,9 @@ def test_rescaling_back_gives_the_sheet_again(x, y):
         ({"rings": np.zeros((2, 2), dtype=bool)}, "shape"),
     ],
 )
-def test_sheets_that_cannot_be_are_refused_in_a_sentence(changes, words):
+def test_sheets_that_cannot_be_are_refused_in_a_sentence(changes, message):
     fields = {"rows": 4, "columns": 4, "pitch_mm": 20.0, "radius_mm": 6.0}
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=message):
         Pattern.cross_grid(**(fields | changes))
 
 

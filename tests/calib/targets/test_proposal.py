@@ -21,23 +21,23 @@ SIZE_PX = (1280, 960)
 def test_it_fits_paper_and_field(width: float, paper: str, across: int) -> None:
     field, size = (width, 0.75 * width), (across, across * 3 // 4)
     try:
-        found = propose_sheet(field_mm=field, size_px=size, room_mm=drawing_room_mm(paper))
+        proposal = propose_sheet(field_mm=field, size_px=size, room_mm=drawing_room_mm(paper))
     except InputError:
         # Six circles of 10 px would not fit.
         side = min(0.6 * min(field), *drawing_room_mm(paper))
         assert 0.6 * side / 6.5 * across / width < 10.5 + 0.3 * across / width
         return
-    assert found.circle_px >= 10
-    assert found.field_share <= 0.6 + 1e-9
+    assert proposal.circle_px >= 10
+    assert proposal.field_share <= 0.6 + 1e-9
     sheet = Pattern.cross_grid(
-        rows=found.count,
-        columns=found.count,
-        pitch_mm=found.pitch_mm,
-        radius_mm=found.radius_mm,
+        rows=proposal.count,
+        columns=proposal.count,
+        pitch_mm=proposal.pitch_mm,
+        radius_mm=proposal.radius_mm,
     )
     assert sorted(lay_out(sheet, paper).size_mm) == sorted(PAPER_SIZES_MM[paper])
     scale = size[0] / field[0]
-    assert found.circle_px == pytest.approx(2 * found.radius_mm * scale, rel=0.01)
+    assert proposal.circle_px == pytest.approx(2 * proposal.radius_mm * scale, rel=0.01)
 
 
 def test_more_pixels_allow_more_circles_and_distance_takes_them() -> None:

@@ -1,4 +1,4 @@
-"""Errors of pose and lens reach epipolar lines and points as moved cameras move them."""
+"""Errors of pose and lens propagate to epipolar lines and points as those of moved cameras do."""
 
 import numpy as np
 import pytest
@@ -42,17 +42,17 @@ def lens_of(values: np.ndarray) -> Intrinsics:
 
 def moved(change: np.ndarray) -> Rig:
     """The rig of Table 1 after a change (3, 10) of its parameters."""
-    own = np.concatenate([LENS.focal_length_px, LENS.principal_point_px])
+    lens_values = np.concatenate([LENS.focal_length_px, LENS.principal_point_px])
     cameras = {}
     for (name, values), step in zip(TABLE_1.items(), change, strict=True):
         pose = np.concatenate([values, [0.0, 0.0]]) + step[:6]
-        camera = camera_of(tuple(pose[:4]), lens_of(own + step[6:]), tuple(pose[4:]))
+        camera = camera_of(tuple(pose[:4]), lens_of(lens_values + step[6:]), tuple(pose[4:]))
         cameras[name] = Camera(camera.intrinsics, camera.pose)
     return Rig(cameras)
 
 
 def known_along(direction: np.ndarray) -> Rig:
-    """The rig, whose only error is of a normal length along one direction of all parameters."""
+    """Rig whose only error is a normal length along one direction of all parameters."""
     names = [f"{camera}.{key}" for camera in TABLE_1 for key in NAMES]
     cameras = dict(moved(np.zeros((3, 10))).items())
     vector = direction.reshape(-1)
@@ -60,8 +60,8 @@ def known_along(direction: np.ndarray) -> Rig:
 
 
 @in_float64
-def images_of(rig: Rig, place_mm: np.ndarray) -> np.ndarray:
-    images = rig.matrices_px @ np.append(place_mm, 1.0)
+def images_of(rig: Rig, point_mm: np.ndarray) -> np.ndarray:
+    images = rig.matrices_px @ np.append(point_mm, 1.0)
     return images[:, :2] / images[:, 2:]
 
 
@@ -73,10 +73,10 @@ def triangulated(rig: Rig) -> np.ndarray:
 
 @in_float64
 def distance_px(rig: Rig, uv_px: np.ndarray) -> float:
-    """From the epipolar line in "left" of the match of a place in "upper"."""
+    """Distance of a point's pixel in "left" from the epipolar line of its pixel in "upper"."""
     true = moved(np.zeros((3, 10)))
-    place = np.append(np.asarray(sheet_from_pixel(true["upper"], uv_px)), 0.0)
-    match = images_of(true, place)[list(TABLE_1).index("left")]
+    point_mm = np.append(np.asarray(sheet_from_pixel(true["upper"], uv_px)), 0.0)
+    match = images_of(true, point_mm)[list(TABLE_1).index("left")]
     fundamental = fundamental_matrix(rig["left"].matrix_px, rig["upper"].matrix_px)
     return float(epipolar_distance_px(fundamental, match, uv_px))
 
@@ -100,12 +100,12 @@ def test_one_direction_of_errors_is_that_of_moved_cameras(seed: int) -> None:
 
 @pytest.mark.slow
 def test_points_of_calibrations_with_other_lenses_scatter_as_their_rigs_say() -> None:
-    """Pose and lens err together: near the sheet a point is known far better than the cameras."""
+    """Errors of pose and lens are correlated: points near the sheet are more exact than cameras."""
     random = np.random.default_rng(5)
     covariance = data_sheet_covariance(LENS)[:4, :4]
-    given = Systematics(lens_covariance=dict.fromkeys(TABLE_1, covariance))
+    systematics = Systematics(lens_covariance=dict.fromkeys(TABLE_1, covariance))
     factor = np.linalg.cholesky(covariance)
-    own = np.concatenate([LENS.focal_length_px, LENS.principal_point_px])
+    lens_values = np.concatenate([LENS.focal_length_px, LENS.principal_point_px])
     detections = [
         {
             name: simulated_detection(camera_of(values), SHEET, seed=100 * k + v, sigma_px=0.05)
@@ -114,13 +114,13 @@ def test_points_of_calibrations_with_other_lenses_scatter_as_their_rigs_say() ->
         for k in range(40)
     ]
     squared = []
-    for found in detections:
-        lens = {name: lens_of(own + factor @ random.normal(size=4)) for name in TABLE_1}
-        rig = calibrate_detections(found, SHEET, lens, systematics=given).rig
+    for rig_detections in detections:
+        lens = {name: lens_of(lens_values + factor @ random.normal(size=4)) for name in TABLE_1}
+        rig = calibrate_detections(rig_detections, SHEET, lens, systematics=systematics).rig
         error = triangulated(rig) - POINT_MM
-        claimed = point_covariance(rig, POINT_MM)
-        squared.append(error @ np.linalg.solve(claimed, error))
-        assert np.sqrt(np.trace(claimed)) < 0.1 * rig.sigma("upper.distance_mm")
+        reported_covariance = point_covariance(rig, POINT_MM)
+        squared.append(error @ np.linalg.solve(reported_covariance, error))
+        assert np.sqrt(np.trace(reported_covariance)) < 0.1 * rig.sigma("upper.distance_mm")
     # The mean of 40 chi-square numbers of three degrees of freedom, within four sigmas.
     assert abs(np.mean(squared) - 3) < 4 * np.sqrt(2 * 3 / 40)
 
@@ -128,13 +128,13 @@ def test_points_of_calibrations_with_other_lenses_scatter_as_their_rigs_say() ->
 def test_an_error_of_the_principal_point_is_that_of_every_pixel() -> None:
     rig, names = moved(np.zeros((3, 10))), [f"left.{key}" for key in NAMES]
     of_axis = np.array([0.3 * name.endswith(("cx_px", "cy_px")) for name in names])
-    known = Rig(dict(rig.items()), parameters=names, covariance=np.diag(of_axis**2))
-    sigmas = projection_sigma(known, "left", 500.0).sigma_px
+    uncertain_rig = Rig(dict(rig.items()), parameters=names, covariance=np.diag(of_axis**2))
+    sigmas = projection_sigma(uncertain_rig, "left", 500.0).sigma_px
     np.testing.assert_allclose(sigmas, 0.3, rtol=1e-9)
 
 
 def test_places_beyond_the_image_circle_of_a_fisheye_have_no_sigma():
-    """The corners lie 593 px from the middle of the picture, where this lens images no ray."""
+    """The image corners lie 593 px from the middle, where no ray of this lens has an image."""
     lens = Intrinsics(
         image_size_px=(848, 800),
         focal_length_px=290.0,
@@ -142,8 +142,10 @@ def test_places_beyond_the_image_circle_of_a_fisheye_have_no_sigma():
         distortion_model="kannala_brandt",
     )
     camera = Camera.from_degrees(lens, pan_deg=10, tilt_deg=50, swing_deg=0, distance_mm=400)
-    known = Rig({"a": camera}, parameters=["a.fx_px", "a.k1"], covariance=np.diag([0.01, 1e-8]))
-    sigma = projection_sigma(known, "a", 400.0).sigma_px.reshape(5, 5)
+    uncertain_rig = Rig(
+        {"a": camera}, parameters=["a.fx_px", "a.k1"], covariance=np.diag([0.01, 1e-8])
+    )
+    sigma = projection_sigma(uncertain_rig, "a", 400.0).sigma_px.reshape(5, 5)
     assert np.isnan(sigma[[0, 0, -1, -1], [0, -1, 0, -1]]).all()
     assert np.isfinite(sigma[1:-1, 1:-1]).all()
     assert np.nanmax(sigma) < 10.0
@@ -159,6 +161,6 @@ def test_typical_errors_follow_the_tuning() -> None:
     doubled = with_field(TUNING, "uncertainty.principal_point", 0.04)
     other = Systematics.typical({"a": lens}, tuning=with_field(doubled, "uncertainty.aim_mm", 7.0))
     assert (usual.aim_sigma_mm, other.aim_sigma_mm) == (20.0, 7.0)
-    factors = [known.lens_factors({"a": lens})["a"] for known in (usual, other)]
+    factors = [systematics.lens_factors({"a": lens})["a"] for systematics in (usual, other)]
     variances = [np.diag(factor @ factor.T) for factor in factors]
     np.testing.assert_allclose(variances[1] / variances[0], [1, 1, 4, 4, 1])
