@@ -75,7 +75,7 @@ def test_a_vanishing_circle_is_imaged_at_its_centre(camera, centre):
 
 
 def test_with_distortion_the_centre_is_that_of_an_ellipse_fitted_to_the_curve():
-    """The curve is no ellipse, so fits differ by up to 0.001 px."""
+    """The distorted curve is no ellipse: fits differ by up to 0.001 px."""
     import cv2
 
     camera = Camera.from_degrees(

@@ -27,8 +27,8 @@ def test_centre_and_inverse_by_cofactors(rig):
         np.testing.assert_allclose(
             centre_of_matrix(camera.matrix_px), camera.centre_world_mm, atol=1e-6
         )
-        left = camera.matrix_px[:, :3]
-        np.testing.assert_allclose(inverse_3x3(left) @ left, np.eye(3), atol=1e-9)
+        left_3x3 = camera.matrix_px[:, :3]
+        np.testing.assert_allclose(inverse_3x3(left_3x3) @ left_3x3, np.eye(3), atol=1e-9)
 
 
 @given(rigs_of_three(), points_near_sheet())

@@ -36,7 +36,7 @@ def transfer_line(
     line_b: Float[ArrayLike, "3"],
     line_c: Float[ArrayLike, "3"],
 ) -> Float[ArrayLike, "3"]:
-    """The line of view a, with unit normal, that lines of views b and c predict.
+    """Line in view a, with unit normal, that is predicted by lines of views b and c.
 
     NaN where both are epipolar lines of one plane, which leave the line in space free.
     """
