@@ -1,4 +1,4 @@
-"""Columns: what comes back is what went in, block by block."""
+"""Columns return the selected rows unchanged and in order, block by block."""
 
 import jax
 import jax.numpy as jnp
@@ -21,8 +21,8 @@ def test_only_the_possible_come_back_in_their_order(count: int) -> None:
     keep, columns = select_in_blocks(judged, 4, rows)
     expected = rows[rows[:, 0] % 3 != 0]
     np.testing.assert_array_equal(rows[keep], expected)
-    each, total = split_columns(columns, ((2,), ()))
-    np.testing.assert_array_equal(each, expected * np.array([1.0, 2.0]))
+    scaled, total = split_columns(columns, ((2,), ()))
+    np.testing.assert_array_equal(scaled, expected * np.array([1.0, 2.0]))
     np.testing.assert_array_equal(total, expected.sum(axis=1))
 
 

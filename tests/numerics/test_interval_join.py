@@ -1,4 +1,4 @@
-"""The index work: joins and tables find what comparing all with all finds."""
+"""Index work: joins and tables return the same pairs as a comparison of all with all."""
 
 import hypothesis.strategies as st
 import jax
@@ -75,15 +75,15 @@ def test_the_table_holds_every_segment_near_a_point_and_a_direction(seed: int) -
     known_px = 0.99 * np.array([one.sigmas for one in LAYERS])[layer]
     point = on + rng.uniform(-4, 4, (30, 1)) * known_px[:, None] * normal
     point = np.clip(point, 0.0, 199.9)
-    asked = angle + rng.uniform(-1, 1, 30) * (known_rad + 0.05)
-    direction = np.cos(asked), np.sin(asked)
+    query_angle = angle + rng.uniform(-1, 1, 30) * (known_rad + 0.05)
+    direction = np.cos(query_angle), np.sin(query_angle)
     keys = jax.vmap(lambda p, *known: search_keys(table.grid, [(p[0], p[1])], *known)[0])(
         point, direction, known_rad, known_px
     )
     query, segment = look_up_segments(table, np.asarray(keys))
-    found = set(zip(query.tolist(), segment.tolist(), strict=True))
-    assert {(k, k) for k in range(30)} <= found
-    assert len(found) == len(query)
+    query_pairs = set(zip(query.tolist(), segment.tolist(), strict=True))
+    assert {(k, k) for k in range(30)} <= query_pairs
+    assert len(query_pairs) == len(query)
 
 
 @given(SEEDS, st.integers(1, 40), st.integers(0, 60))
