@@ -1,4 +1,4 @@
-"""Evaluation of lines against known edges: the laws that its numbers obey."""
+"""Laws of the numbers that evaluate lines against known edges."""
 
 import dataclasses
 from typing import NamedTuple

@@ -40,7 +40,7 @@ def across(lines_mm: np.ndarray) -> np.ndarray:
 def test_lines_move_with_a_camera_by_what_the_covariance_of_its_pan_says(
     name: str, tmp_path: Path
 ) -> None:
-    """A camera panned by one sigma moves each line across itself by the root of the covariance."""
+    """A camera pan of one sigma moves each line across itself by the root of the covariance."""
     rig, sigma_deg = rig_of(*VIEWS), 1e-3
     segments = pictures(rig, loose_lines(20, seed=3))
     parameters = [

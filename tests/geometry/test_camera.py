@@ -134,7 +134,7 @@ def test_intrinsics_in_pixels_and_in_millimetres_agree():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "message"),
     [
         ({"focal_length_mm": 16}, "focal length is not determined"),
         ({"focal_length_mm": 16, "focal_length_px": 900, "pixel_pitch_mm": 0.01}, "not determined"),

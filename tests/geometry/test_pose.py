@@ -91,7 +91,7 @@ def test_a_model_is_said_by_itself_or_by_its_word():
 
 
 @pytest.mark.parametrize(
-    ("pose_model", "words"),
+    ("pose_model", "message"),
     [("free", "must be one of"), ("rigid", "aim-free")],
 )
 def test_what_is_no_model_over_a_sheet_is_refused(pose_model, message):

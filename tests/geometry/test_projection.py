@@ -1,4 +1,4 @@
-"""Projection by a matrix in all its forms, and derivatives against differences."""
+"""Projection by a matrix in all its forms, and its derivatives against differences."""
 
 import jax
 import jax.numpy as jnp

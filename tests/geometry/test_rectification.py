@@ -119,7 +119,7 @@ def test_an_ideal_lens_stays_as_it_is():
 
 @pytest.mark.parametrize("alpha", [0.0, 1.0])
 def test_beyond_a_fold_in_the_corners_ideal_pictures_are_black(alpha):
-    """With alpha 0 every pixel is valid; with 1, what lies beyond is black."""
+    """With alpha 0 every pixel is valid; with alpha 1 pixels beyond the fold are black."""
     lens = Intrinsics(
         image_size_px=(640, 480), focal_length_px=500.0, distortion=(-0.3, 0.0, 0.001, 0.0)
     )
@@ -218,7 +218,7 @@ def test_a_homography_leads_from_each_picture_to_its_rectified_one():
 
 
 def test_two_cameras_turn_as_those_of_stereo_rectify():
-    """OpenCV halves the turn between the cameras, too. Only signs and positions of pictures differ."""
+    """OpenCV halves the turn, too; the pictures' sign and position may differ."""
     first_camera = Camera(LENS, Pose(np.eye(3, 4)))
     turn = np.asarray(rotation_from_vector(np.array([0.02, -0.1, 0.03])))
     second_camera = Camera(LENS, Pose.from_centre(turn, np.array([80.0, 4.0, -6.0])))
@@ -287,7 +287,7 @@ FRONT = POINTS + np.array([60.0, 0.0, 600.0])
 
 
 @pytest.mark.parametrize(
-    ("rig", "says"),
+    ("rig", "message"),
     [
         (in_a_row(0.0), "but the rig has 1"),
         (in_a_row(0.0, 1.0, 2.0), "but the rig has 3"),

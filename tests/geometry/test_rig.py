@@ -74,7 +74,7 @@ def test_what_a_rig_refuses():
 
 
 @pytest.mark.parametrize(
-    ("rows", "words"),
+    ("rows", "message"),
     [
         (np.zeros((3, 5)), "shape"),
         ([[0.0, 0, 1, 1], [0, 0, np.nan, 1]], "Segment 1 has a coordinate"),

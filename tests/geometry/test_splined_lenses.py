@@ -36,7 +36,7 @@ unproject = jax.jit(jax.vmap(lambda lens, uv_px: lens.unproject(uv_px), (None, 0
 
 
 def corrected(core=CORE, scale_px=2.0, seed=0):
-    """A lens whose control points are scattered about 0."""
+    """A lens with random control points about 0."""
     lens = spline_lens(core, SIZE_PX)
     values = np.array(lens.parameters)
     control = np.random.default_rng(seed).normal(0.0, scale_px, lens.control_count)

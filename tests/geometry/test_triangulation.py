@@ -76,7 +76,7 @@ def noisy_example(seed):
 
 
 def test_the_covariance_is_that_of_many_noisy_segments():
-    """Monte Carlo: normalised errors of 2,000 triangulations follow a chi-square of 6."""
+    """Squared normalised errors of 2,000 triangulations follow chi-square with 6 degrees."""
     rig, _, covariance = noisy_example(0)
     ends = np.array([[10.0, -20.0, 5.0], [30.0, 25.0, 30.0]])
     truth = images(rig, ends)

@@ -63,7 +63,7 @@ def folding_lenses(model: type, count: int, seed: int = 0) -> list[Intrinsics]:
 
 
 def pixels_about(lens: Intrinsics, share: tuple[float, float], seed: int = 0) -> np.ndarray:
-    """Pixels in a ring about the principal point, by shares of the valid radius."""
+    """Pixels in a ring about the principal point between these shares of the valid radius."""
     random = np.random.default_rng(seed)
     angle = random.uniform(0, 2 * np.pi, 200)
     radius = lens.valid_radius_px * np.sqrt(random.uniform(share[0] ** 2, share[1] ** 2, 200))

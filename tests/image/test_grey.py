@@ -44,7 +44,7 @@ def test_alpha_says_nothing():
 
 
 @pytest.mark.parametrize(
-    ("image", "said"),
+    ("image", "message"),
     [
         (np.zeros((20, 20, 5)), "shape"),
         (np.zeros((8, 20)), "at least 16 px"),

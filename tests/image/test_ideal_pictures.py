@@ -66,7 +66,7 @@ def test_maps_of_a_rectified_rig_are_those_of_opencv():
 
 
 def test_a_map_is_the_projection_of_any_lens():
-    """Skew, splines, and pictures of another size."""
+    """This holds for skew, splines, and pictures of another size."""
     model = next(iter(SPLINED.values()))
     start = model.from_parameters(np.zeros(len(model.parameter_names)))
     steps = np.random.default_rng(1).normal(scale=2e-3, size=len(start.parameters))
@@ -124,7 +124,7 @@ def test_depth_and_colours_are_kept(dtype, channels):
 
 
 @pytest.mark.parametrize(
-    ("picture", "says"),
+    ("picture", "message"),
     [
         (np.zeros((48, 51), np.uint8), "51 x 48 px, but the lens belongs to pictures of 512 x 480"),
         (np.zeros(7, np.uint8), "Give one of that size"),
@@ -143,7 +143,7 @@ def test_a_camera_that_is_not_there_is_named():
 
 
 def seen_edges(picture: np.ndarray, rows: slice) -> np.ndarray:
-    """Vertical change along the columns, by row."""
+    """Sum of the absolute vertical grey changes in each row."""
     smooth = cv2.GaussianBlur(picture.astype(np.float64), (0, 0), 1.5)
     return np.abs(np.diff(smooth, axis=0))[rows].sum(axis=1)
 

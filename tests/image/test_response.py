@@ -1,4 +1,4 @@
-"""Laws of a camera's response: inverse, slope, ends, the known curve, and what is refused."""
+"""Laws of a camera's response: inverse, slope, ends, the known curve and the refusals."""
 
 import jax
 import numpy as np

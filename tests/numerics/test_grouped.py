@@ -1,4 +1,4 @@
-"""Sums and medians by group are those of each group alone."""
+"""Sums and medians by group equal those of each group alone."""
 
 import hypothesis.strategies as st
 import numpy as np

@@ -126,7 +126,7 @@ def test_damage_is_compiled_anew(drawer, arguments) -> None:
 
 
 class OwnLens(eqx.Module):
-    """A class of the user's, whose methods trinoc's version says nothing of."""
+    """A class of the user, whose methods are not covered by trinoc's version number."""
 
     strength: jax.Array
 

@@ -20,7 +20,7 @@ LOSSES = [GemanMcClure.from_scale(4.0), MIXTURE]
 
 
 def linear(count=5, observations=12, numbers=2, parameters=3, seed=0):
-    """(jacobian, observed) of problems whose residual is jacobian @ state - observed."""
+    """Jacobian and observations of problems with the residual jacobian @ state - observed."""
     rng = np.random.default_rng(seed)
     jacobian = rng.normal(size=(count, observations, numbers, parameters))
     return jacobian, rng.normal(size=(count, observations, numbers))

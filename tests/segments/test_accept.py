@@ -85,7 +85,7 @@ def test_points_that_scatter_more_than_the_arc_explains_lie_on_a_line() -> None:
 
 
 @pytest.mark.skipif("TRINOC_DATA" not in os.environ, reason="TRINOC_DATA names no folder of data")
-@pytest.mark.parametrize(("name", "least"), [("vgg_corridor", 0.93), ("vgg_house", 0.94)])
+@pytest.mark.parametrize(("name", "least_share"), [("vgg_corridor", 0.93), ("vgg_house", 0.94)])
 def test_published_segments_of_photographs_are_found(name: str, least_share: float) -> None:
     folder = Path(os.environ["TRINOC_DATA"]) / name
     pictures = sorted(folder.glob("view*"))

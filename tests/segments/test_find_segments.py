@@ -211,7 +211,7 @@ def test_noise_alone_makes_hardly_any_segment() -> None:
 
 
 @pytest.mark.parametrize(
-    ("image", "words"),
+    ("image", "message"),
     [
         (np.zeros((40, 40, 5), np.uint8), "shape"),
         (np.zeros((8, 40), np.uint8), "at least"),

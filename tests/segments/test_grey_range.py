@@ -57,7 +57,7 @@ def test_pictures_that_fill_their_type_are_as_they_were_to_the_last_bit(kind):
 
 
 @pytest.mark.parametrize(
-    ("image", "said"),
+    ("image", "message"),
     [
         (np.full((40, 50), 7, np.uint8), "same grey level"),
         (np.tile(np.repeat([100, 103], 25), (40, 1)).astype(np.uint8), "least_contrast is 7"),

@@ -98,8 +98,8 @@ def corner_directions() -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_junction_has_the_stated_covariance_where_segments_are_not_equally_well_known() -> None:
-    """Segments are shifted across by noise of their standard deviations: the corner's squared
-    error in sigmas has the mean 2 of a chi-square law of two degrees of freedom."""
+    """Segments are shifted across by noise of their standard deviations. The corner's squared
+    normalised error then has the mean 2 of chi-square with two degrees of freedom."""
     random = np.random.default_rng(0)
     along, across = corner_directions()
     covariance = np.zeros((3, 4, 4))

@@ -14,8 +14,8 @@ UNSHADED = with_field(DEFAULT, "errors.shade_share", 0.0)
 
 
 def shaded_edge(angle_deg: float, dark: float, bright: float) -> tuple[np.ndarray, np.ndarray]:
-    """(picture, unit vector toward the bright side) of an edge through the middle, with a slope,
-    in grey levels per pixel, beside it on either side up to 12 px away."""
+    """Picture of an edge through the middle and unit vector toward its bright side. The grey levels
+    have these slopes, per pixel, on either side up to 12 px away."""
     across = np.array([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))])
     v, u = (np.mgrid[: 4 * SIDE, : 4 * SIDE] + 0.5) / 4 - 0.5 - (SIDE - 1) / 2
     x = u * across[0] + v * across[1]
