@@ -1,4 +1,4 @@
-"""Evaluation of lines against known edges: the laws that its numbers obey."""
+"""Laws of the numbers that evaluate lines against known edges."""
 
 import dataclasses
 from typing import NamedTuple
@@ -30,7 +30,7 @@ CLOSE = {"rel": 1e-5, "abs": 1e-5, "nan_ok": True}
 
 
 def noisy(generator, edges_mm=EDGES, *, sigma_mm=0.05):
-    """Lines near edges, some of them short or nowhere, with a covariance that is a stand-in."""
+    """Lines near edges, some short or far from every edge, with a placeholder covariance."""
     lines = edges_mm + sigma_mm * generator.normal(size=edges_mm.shape)
     lines[::3, 1] = 0.5 * (lines[::3, 0] + lines[::3, 1])
     stray = generator.uniform(-60, 60, (4, 2, 3))
@@ -52,12 +52,12 @@ def assert_same(first, second):
 
 
 def test_perfect_lines_have_no_error_and_miss_nothing():
-    found = evaluate(EDGES, EDGES)
-    assert found.status is EvaluationStatus.COMPARED
-    assert found.precision == found.completeness == (1.0,) * 4
-    assert found.distance_mm.at_95 < 1e-5
-    assert found.angle_deg.at_95 < 1e-9
-    np.testing.assert_array_equal(found.lines, np.arange(len(EDGES)))
+    report = evaluate(EDGES, EDGES)
+    assert report.status is EvaluationStatus.COMPARED
+    assert report.precision == report.completeness == (1.0,) * 4
+    assert report.distance_mm.at_95 < 1e-5
+    assert report.angle_deg.at_95 < 1e-9
+    np.testing.assert_array_equal(report.lines, np.arange(len(EDGES)))
 
 
 @settings(max_examples=20)
@@ -85,8 +85,8 @@ def test_order_of_lines_and_of_their_ends_changes_nothing(seed):
     ends[turned] = ends[turned, ::-1]
     swap = np.roll(np.arange(6), 3)
     covariance[turned] = covariance[turned][:, swap][:, :, swap]
-    again = evaluate(independent_lines(ends[order], covariance[order]), EDGES)
-    assert_same(evaluate(lines, EDGES).record(), again.record())
+    reordered = evaluate(independent_lines(ends[order], covariance[order]), EDGES)
+    assert_same(evaluate(lines, EDGES).record(), reordered.record())
 
 
 @settings(max_examples=20)
@@ -97,22 +97,22 @@ def test_lines_in_two_pieces_are_as_right_and_as_complete(seed, share):
     pieces = np.concatenate(
         [np.concatenate([ends[:, :1], cut], 1), np.concatenate([cut, ends[:, 1:]], 1)]
     )
-    whole, split = evaluate(ends, EDGES), evaluate(pieces, EDGES)
-    # Pieces are sampled at other places, a quarter of a millimetre apart.
-    places = 0.25 * 2 * len(pieces) / whole.length_put_out_mm
-    assert split.length_put_out_mm == pytest.approx(whole.length_put_out_mm)
-    np.testing.assert_allclose(split.precision, whole.precision, atol=places)
-    np.testing.assert_allclose(split.completeness, whole.completeness, atol=1e-12)
+    unsplit, split = evaluate(ends, EDGES), evaluate(pieces, EDGES)
+    # Pieces are sampled at other points, every quarter of a millimetre.
+    tolerance = 0.25 * 2 * len(pieces) / unsplit.length_put_out_mm
+    assert split.length_put_out_mm == pytest.approx(unsplit.length_put_out_mm)
+    np.testing.assert_allclose(split.precision, unsplit.precision, atol=tolerance)
+    np.testing.assert_allclose(split.completeness, unsplit.completeness, atol=1e-12)
 
 
 def test_precision_and_completeness_by_hand():
     edge = np.array([[[0.0, 0.0, 0.0], [40.0, 0.0, 0.0]]])
     line = np.array([[[0.5, 0.09, 0.0], [39.8, 0.09, 0.0]]])
-    found = evaluate(line, edge)
-    assert found.precision == (1.0, 1.0, 1.0, 1.0)
-    assert found.distance_mm.median == pytest.approx(0.09, abs=1e-6)
+    report = evaluate(line, edge)
+    assert report.precision == (1.0, 1.0, 1.0, 1.0)
+    assert report.distance_mm.median == pytest.approx(0.09, abs=1e-6)
     # Half a millimetre at one end and 0.2 at the other are further than 0.1 mm from the line.
-    assert found.completeness[0] == pytest.approx(39.3 / 40, abs=0.01)
+    assert report.completeness[0] == pytest.approx(39.3 / 40, abs=0.01)
 
 
 def test_lines_that_run_past_an_edge_or_away_from_it():
@@ -129,12 +129,17 @@ def test_lines_that_run_past_an_edge_or_away_from_it():
 def test_the_error_of_the_cameras_by_hand():
     edge = np.array([[[0.0, 0.0, 0.0], [40.0, 0.0, 0.0]]])
     line = np.array([[[2.0, 0.1, 0.0], [38.0, 0.1, 0.0]]])
-    own, by = 0.01 * np.eye(6)[None], np.array([0.0, 1, 0, 0, 1, 0]).reshape(1, 6, 1)
+    fragment_covariance, by_parameters = (
+        0.01 * np.eye(6)[None],
+        np.array([0.0, 1, 0, 0, 1, 0]).reshape(1, 6, 1),
+    )
     # Both ends are off by one sigma of their own: two of four squares are 1.
-    alone = evaluate(independent_lines(line, own), edge).normalised
+    alone = evaluate(independent_lines(line, fragment_covariance), edge).normalised
     assert alone.variance == pytest.approx(0.5)
     # Their mean has the variance 0.005 + 0.03, and is off by 0.1.
-    both = evaluate(UncertainLines(line, own, by, np.array([[0.03]])), edge).normalised
+    both = evaluate(
+        UncertainLines(line, fragment_covariance, by_parameters, np.array([[0.03]])), edge
+    ).normalised
     assert both.variance == pytest.approx(0.01 / 0.035 / 4)
 
 
@@ -145,33 +150,35 @@ def test_errors_as_large_as_claimed_have_normalised_variance_one():
     root = 0.02 * generator.normal(size=(count, 6, 6))
     by_parameters = 0.03 * generator.normal(size=(count, 6, 5))
     spread = generator.normal(size=(5, 5))
-    own = (root @ generator.normal(size=(count, 6, 1))).reshape(-1, 2, 3)
-    shared = (by_parameters @ spread @ generator.normal(size=5)).reshape(-1, 2, 3)
+    own_error = (root @ generator.normal(size=(count, 6, 1))).reshape(-1, 2, 3)
+    shared_error = (by_parameters @ spread @ generator.normal(size=5)).reshape(-1, 2, 3)
     four_sigmas = 4 * np.sqrt(2 / (4 * count))
 
     def errors(ends_mm, parameter_covariance):
         lines = UncertainLines(ends_mm, root @ root.mT, by_parameters, parameter_covariance)
         return normalised_errors(offsets_across(lines, edges), parameter_covariance)
 
-    alone = errors(edges + own, np.zeros((5, 5)))
+    alone = errors(edges + own_error, np.zeros((5, 5)))
     assert alone.lines == count
     assert alone.variance == pytest.approx(1.0, abs=four_sigmas)
     assert alone.spread == pytest.approx(1.0, abs=four_sigmas)
     assert alone.share_within == pytest.approx(0.95, abs=0.012)
     assert alone.share_of_lines == pytest.approx(0.95, abs=0.025)
     # What all lines share does not average out over them: five numbers determine it.
-    together = errors(edges + own + shared, spread @ spread.T)
+    together = errors(edges + own_error + shared_error, spread @ spread.T)
     assert together.variance == pytest.approx(1.0, abs=2.0)
-    assert errors(edges + own + shared, np.zeros((5, 5))).variance > 2 * together.variance
+    assert (
+        errors(edges + own_error + shared_error, np.zeros((5, 5))).variance > 2 * together.variance
+    )
 
 
 def test_a_covariance_four_times_too_small_shows():
     generator = np.random.default_rng(6)
     lines = EDGES + 0.05 * generator.normal(size=(100, *EDGES.shape))
-    claimed = np.tile(0.025**2 * np.eye(6), (100 * len(EDGES), 1, 1))
-    found = evaluate(independent_lines(lines.reshape(-1, 2, 3), claimed), EDGES)
-    assert found.normalised.variance == pytest.approx(4.0, rel=0.1)
-    assert found.normalised.spread == pytest.approx(2.0, rel=0.05)
+    reported_covariance = np.tile(0.025**2 * np.eye(6), (100 * len(EDGES), 1, 1))
+    report = evaluate(independent_lines(lines.reshape(-1, 2, 3), reported_covariance), EDGES)
+    assert report.normalised.variance == pytest.approx(4.0, rel=0.1)
+    assert report.normalised.spread == pytest.approx(2.0, rel=0.05)
 
 
 def test_ends_unknown_along_the_line_do_not_enter():
@@ -199,10 +206,10 @@ def test_alignment_recovers_a_motion(seed, turn_deg, shift_mm):
     assert motion.rank == 6
     np.testing.assert_allclose(motion.rotation, rotation, atol=1e-5)
     np.testing.assert_allclose(motion.shift_mm, shift, atol=1e-3)
-    found = evaluate(elsewhere[: len(EDGES)], EDGES, aligned=True)
-    assert found.motion is not None
-    assert found.motion.turn_deg == pytest.approx(abs(turn_deg), abs=1e-3)
-    assert found.precision[0] == 1.0
+    report = evaluate(elsewhere[: len(EDGES)], EDGES, aligned=True)
+    assert report.motion is not None
+    assert report.motion.turn_deg == pytest.approx(abs(turn_deg), abs=1e-3)
+    assert report.precision[0] == 1.0
 
 
 def test_what_edges_leave_free_does_not_move():
@@ -220,12 +227,12 @@ def test_nothing_to_compare_is_said():
         (EDGES, none, EvaluationStatus.NO_EDGES),
         (far, EDGES, EvaluationStatus.NOTHING_NEAR),
     ):
-        found = evaluate(lines, edges, aligned=False)
-        assert found.status is status
-        assert found.precision == found.completeness == (0.0,) * 4
-        assert found.normalised.lines == 0
-        assert np.isnan(found.normalised.variance)
-        assert found.status.value.endswith(".")
+        report = evaluate(lines, edges, aligned=False)
+        assert report.status is status
+        assert report.precision == report.completeness == (0.0,) * 4
+        assert report.normalised.lines == 0
+        assert np.isnan(report.normalised.variance)
+        assert report.status.value.endswith(".")
     assert evaluate(none, EDGES, aligned=True).motion is None
 
 
@@ -253,15 +260,19 @@ def test_another_covariance_is_refused():
 
 
 def test_a_scene_wants_what_two_pictures_show():
-    whole = SeenParts(np.array([0, 1]), np.array([[0.0, 1.0], [0.0, 0.5]]), np.array([20.0, -30.0]))
-    faint = dataclasses.replace(whole, grey_step=np.array([20.0, 3.0]))
-    truth = SceneTruth(EDGES[:3], ("edge", "edge", "rim"), {"a": whole, "b": whole, "c": faint})
+    full_parts = SeenParts(
+        np.array([0, 1]), np.array([[0.0, 1.0], [0.0, 0.5]]), np.array([20.0, -30.0])
+    )
+    faint_parts = dataclasses.replace(full_parts, grey_step=np.array([20.0, 3.0]))
+    truth = SceneTruth(
+        EDGES[:3], ("edge", "edge", "rim"), {"a": full_parts, "b": full_parts, "c": faint_parts}
+    )
     shape = KnownShape.of_scene(truth)
     np.testing.assert_array_equal(shape.wanted_edge, [0, 1])
     np.testing.assert_allclose(shape.wanted_mm[1], [EDGES[1, 0], EDGES[1].mean(axis=0)])
-    found = evaluate(EDGES[:3], truth)
-    assert found.completeness == found.precision == (1.0,) * 4
-    only = {"a": whole, "c": faint}
+    report = evaluate(EDGES[:3], truth)
+    assert report.completeness == report.precision == (1.0,) * 4
+    only = {"a": full_parts, "c": faint_parts}
     fewer = KnownShape.of_scene(SceneTruth(EDGES[:3], ("edge", "edge", "rim"), only))
     np.testing.assert_array_equal(fewer.wanted_edge, [0])
 
@@ -281,9 +292,9 @@ def test_faces_hide_edges_from_the_cameras(monkeypatch):
     assert behind <= hidden
     # However many edges are looked at in one go.
     monkeypatch.setattr("trinoc.evaluation.known_shape._PAIRS_PER_BLOCK", 40)
-    again = KnownShape.of_edges(EDGES, BOX.triangles_mm).visible_to(rig)
-    np.testing.assert_array_equal(again.wanted_edge, solid.wanted_edge)
-    np.testing.assert_array_equal(again.wanted_extent, solid.wanted_extent)
+    in_blocks = KnownShape.of_edges(EDGES, BOX.triangles_mm).visible_to(rig)
+    np.testing.assert_array_equal(in_blocks.wanted_edge, solid.wanted_edge)
+    np.testing.assert_array_equal(in_blocks.wanted_extent, solid.wanted_extent)
 
 
 def test_a_motion_carries_covariance_and_derivatives_as_it_carries_points() -> None:
@@ -296,6 +307,10 @@ def test_a_motion_carries_covariance_and_derivatives_as_it_carries_points() -> N
     steps = np.concatenate([np.zeros((1, 2, 3)), np.eye(6).reshape(6, 2, 3)])
     images = motion.move_points(steps).reshape(7, 6)
     linear = (images[1:] - images[0]).T
-    expected = np.array([linear @ own @ linear.T for own in lines.fragment_covariance_mm2])
+    expected = np.array(
+        [linear @ covariance @ linear.T for covariance in lines.fragment_covariance_mm2]
+    )
     np.testing.assert_allclose(carried.fragment_covariance_mm2, expected)
-    np.testing.assert_allclose(carried.by_parameters, np.array([linear @ each for each in by]))
+    np.testing.assert_allclose(
+        carried.by_parameters, np.array([linear @ derivative for derivative in by])
+    )

@@ -1,4 +1,4 @@
-"""What errors of the rig add to each line of the matches."""
+"""Covariance that errors of the rig add to each line of the matches."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ VIEWS = ("upper", "left", "right")
 
 
 def turned(rig: Rig, name: str, pan_deg: float) -> Rig:
-    """The rig with one camera that is panned by so much more."""
+    """The rig with one camera panned further by this angle."""
     camera = rig[name]
     moved = Camera.from_degrees(
         camera.intrinsics,
@@ -30,9 +30,9 @@ def turned(rig: Rig, name: str, pan_deg: float) -> Rig:
 
 
 def across(lines_mm: np.ndarray) -> np.ndarray:
-    """(t, 3, 3) the projection off the direction of each line."""
-    way = lines_mm[:, 1] - lines_mm[:, 0]
-    unit = way / np.linalg.norm(way, axis=1, keepdims=True)
+    """(t, 3, 3) projection onto the plane perpendicular to each line."""
+    offset = lines_mm[:, 1] - lines_mm[:, 0]
+    unit = offset / np.linalg.norm(offset, axis=1, keepdims=True)
     return np.eye(3) - unit[:, :, None] * unit[:, None]
 
 
@@ -40,22 +40,24 @@ def across(lines_mm: np.ndarray) -> np.ndarray:
 def test_lines_move_with_a_camera_by_what_the_covariance_of_its_pan_says(
     name: str, tmp_path: Path
 ) -> None:
-    """A camera panned by one sigma moves each line across itself by the root of the covariance."""
+    """A camera pan of one sigma moves each line across itself by the root of the covariance."""
     rig, sigma_deg = rig_of(*VIEWS), 1e-3
-    seen = pictures(rig, loose_lines(20, seed=3))
-    parameters = [f"{view}.{each}" for view in VIEWS for each in PoseModel.AIMED.parameter_names]
-    variance = [sigma_deg**2 * (each == f"{name}.pan_deg") for each in parameters]
-    known = Rig(dict(rig.items()), parameters=parameters, covariance=np.diag(variance))
-    matches = match_segments(seen, known)
-    with_rig = with_rig_covariance(matches, known)
+    segments = pictures(rig, loose_lines(20, seed=3))
+    parameters = [
+        f"{view}.{parameter}" for view in VIEWS for parameter in PoseModel.AIMED.parameter_names
+    ]
+    variance = [sigma_deg**2 * (parameter == f"{name}.pan_deg") for parameter in parameters]
+    uncertain_rig = Rig(dict(rig.items()), parameters=parameters, covariance=np.diag(variance))
+    matches = match_segments(segments, uncertain_rig)
+    with_rig = with_rig_covariance(matches, uncertain_rig)
     covariance = with_rig.rig_covariance_mm2
     assert covariance is not None
     # One error moves all: the covariance has rank 1, and its file is read all the same.
     trinoc.save(with_rig, tmp_path / "matches.npz")
     assert trinoc.load_matches(tmp_path / "matches.npz") == with_rig
-    again = match_segments(seen, turned(rig, name, sigma_deg))
-    np.testing.assert_array_equal(again.index, matches.index)
-    off = np.einsum("tij,tej->tei", across(matches.lines_mm), again.lines_mm - matches.lines_mm)
+    moved = match_segments(segments, turned(rig, name, sigma_deg))
+    np.testing.assert_array_equal(moved.index, matches.index)
+    off = np.einsum("tij,tej->tei", across(matches.lines_mm), moved.lines_mm - matches.lines_mm)
     expected = np.einsum("tei,tfj->teifj", off, off)
     both = np.kron(np.eye(2), across(matches.lines_mm))
     stated = (both @ covariance @ both.transpose(0, 2, 1)).reshape(expected.shape)

@@ -1,4 +1,4 @@
-"""Scores: the truth scores one, order does not matter, and each definition by hand."""
+"""Scores: the truth scores one, order does not matter, and each definition agrees by hand."""
 
 from typing import NamedTuple
 
@@ -37,12 +37,12 @@ def tracks(rows, views=VIEWS):
 
 
 def perfect_tracks(truth):
-    """One track for every edge that several views show, of the only segment of each."""
+    """One track for each edge that two or more views show."""
     rows = []
     for edge in range(len(truth.edges_mm)):
-        found = [np.flatnonzero(truth.edge_of[view] == edge) for view in VIEWS]
-        if sum(len(f) > 0 for f in found) >= 2:
-            rows.append([f[0] if len(f) else -1 for f in found])
+        segments = [np.flatnonzero(truth.edge_of[view] == edge) for view in VIEWS]
+        if sum(len(f) > 0 for f in segments) >= 2:
+            rows.append([f[0] if len(f) else -1 for f in segments])
     return np.array(rows).reshape(-1, 3)
 
 
@@ -67,26 +67,26 @@ def test_the_order_of_tracks_segments_and_views_does_not_matter(seed):
     rows = np.stack([generator.integers(-1, count, 60) for count in counts], axis=1)
     rows = np.concatenate([rows, perfect_tracks(truth)])
     score = score_matches(tracks(rows), truth)
-    places = {view: generator.permutation(n) for view, n in zip(VIEWS, counts, strict=True)}
+    orders = {view: generator.permutation(n) for view, n in zip(VIEWS, counts, strict=True)}
     moved = SegmentTruth(
         truth.edges_mm,
-        {view: truth.edge_of[view][places[view]] for view in VIEWS},
-        {view: truth.extent[view][places[view], ::-1] for view in VIEWS},
+        {view: truth.edge_of[view][orders[view]] for view in VIEWS},
+        {view: truth.extent[view][orders[view], ::-1] for view in VIEWS},
     )
     renamed = np.stack(
         [
-            np.where(rows[:, v] >= 0, np.argsort(places[view])[rows[:, v]], -1)
+            np.where(rows[:, v] >= 0, np.argsort(orders[view])[rows[:, v]], -1)
             for v, view in enumerate(VIEWS)
         ],
         axis=1,
     )
     order = generator.permutation(3)
-    again = tracks(generator.permutation(renamed)[:, order], tuple(VIEWS[v] for v in order))
-    assert score_matches(again, moved) == score
+    reordered = tracks(generator.permutation(renamed)[:, order], tuple(VIEWS[v] for v in order))
+    assert score_matches(reordered, moved) == score
 
 
 def hand_made(extents, edges=None):
-    """One segment per view on edge 0, with the extents given."""
+    """Truth with one segment per view on edge 0, with these extents."""
     edges = (0, 0, 0) if edges is None else edges
     return SegmentTruth(
         np.array([[[0.0, 0, 0], [100.0, 0, 0]]]),
@@ -111,14 +111,14 @@ def test_a_triple_is_right_where_all_extents_overlap(extents, right, true):
 
 
 def test_spurious_segments_are_wrong_and_unscored_ones_do_not_count():
-    whole = [(0.0, 1.0)] * 3
+    full_extents = [(0.0, 1.0)] * 3
     row = tracks([[0, 0, 0]])
-    wrong = score_matches(row, hand_made(whole, (0, 0, SPURIOUS)))
+    wrong = score_matches(row, hand_made(full_extents, (0, 0, SPURIOUS)))
     assert (wrong.triples.precision, wrong.triples.put_out) == (0.0, 1)
     assert wrong.pairs.precision == pytest.approx(1 / 3)
-    unscored = score_matches(row, hand_made(whole, (NOT_SCORED,) * 3))
+    unscored = score_matches(row, hand_made(full_extents, (NOT_SCORED,) * 3))
     assert (unscored.triples.put_out, unscored.pairs.put_out) == (0, 0)
-    mixed = score_matches(row, hand_made(whole, (NOT_SCORED, 0, 0)))
+    mixed = score_matches(row, hand_made(full_extents, (NOT_SCORED, 0, 0)))
     assert (mixed.triples.put_out, mixed.pairs.put_out) == (1, 3)
 
 
@@ -138,20 +138,22 @@ def test_lengths_count_by_tolerance_and_share():
     truth = hand_made([(0.0, 0.6), (0.2, 1.0), (0.9, 1.0)])
     # Two views or more cover 0.2 to 0.6 and 0.9 to 1.
     lines = np.array([[[20.0, 0.9, 0], [60.0, 0.9, 0]], [[0.0, 5.0, 0], [40.0, 5.0, 0]]])
-    near, far = (score_lengths(lines, truth, tolerance_mm=t) for t in (1.0, 0.5))
-    assert near.precision == pytest.approx(0.5)
-    assert near.length_true_mm == pytest.approx(50.0)
-    assert near.recall == pytest.approx(0.8, abs=0.02)
-    assert far[:2] == (0.0, 0.0)
+    loose, tight = (score_lengths(lines, truth, tolerance_mm=t) for t in (1.0, 0.5))
+    assert loose.precision == pytest.approx(0.5)
+    assert loose.length_true_mm == pytest.approx(50.0)
+    assert loose.recall == pytest.approx(0.8, abs=0.02)
+    assert tight[:2] == (0.0, 0.0)
 
 
 def test_a_faint_edge_is_not_asked_for():
     edges = np.array([[[0.0, 0, 0], [10.0, 0, 0]], [[0.0, 5, 0], [20.0, 5, 0]]])
 
-    def seen(steps):
+    def parts_seen(steps):
         return SeenParts(np.arange(2), np.array([[0.0, 1.0]] * 2), np.array(steps))
 
-    truth = SceneTruth(edges, ("edge", "rim"), {"a": seen([-30.0, 9.0]), "b": seen([12.0, 7.0])})
+    truth = SceneTruth(
+        edges, ("edge", "rim"), {"a": parts_seen([-30.0, 9.0]), "b": parts_seen([12.0, 7.0])}
+    )
     np.testing.assert_allclose(shown_parts_mm(truth, grey_step=8.0), edges[:1])
     np.testing.assert_allclose(shown_parts_mm(truth), edges)
     np.testing.assert_allclose(shown_parts_mm(truth, kinds=("rim",)), edges[1:])

@@ -1,4 +1,4 @@
-"""The image of a circle in closed form, which the package's own formula must agree with.
+"""The image of a circle in closed form, a reference for the package's formula.
 
 A dual conic C* holds the lines tangent to a conic: l^T C* l = 0. Under a homography H it
 becomes H C* H^T (Hartley and Zisserman, result 2.14), and its product with the line at
@@ -20,7 +20,7 @@ def pixel_from_sheet_homography(camera: Camera) -> Float[ArrayLike, "3 3"]:
 def dual_conic_of_circle(
     centre: Float[ArrayLike, "2"], radius: ScalarLike
 ) -> Float[ArrayLike, "3 3"]:
-    """C* = c c^T - r^2 diag(1, 1, 0), with c = (centre, 1)."""
+    """Dual conic of a circle: C* = c c^T - r^2 diag(1, 1, 0), with c = (centre, 1)."""
     homogeneous = jnp.append(centre, 1.0)
     return jnp.outer(homogeneous, homogeneous) - radius**2 * jnp.diag(jnp.array([1.0, 1.0, 0.0]))
 

@@ -37,13 +37,13 @@ def cameras(draw: st.DrawFn, lens: Intrinsics = LENS) -> Camera:
 
 
 def points_near_sheet() -> st.SearchStrategy[np.ndarray]:
-    """Points of the volume that all cameras of `cameras` see in front of them."""
+    """Points in front of every camera that `cameras` draws."""
     return vectors(3, 60.0)
 
 
 @st.composite
 def rigs_of_three(draw: st.DrawFn) -> list[Camera]:
-    """Three cameras apart by at least 20 degrees of pan, so that every pair has a baseline."""
+    """Three cameras, at least 20 degrees of pan from each other: every pair has a baseline."""
     pans = [draw(real(-60, -30)), draw(real(-8, 8)), draw(real(30, 60))]
     return [
         Camera.from_degrees(

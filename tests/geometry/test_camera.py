@@ -33,7 +33,7 @@ def homogeneous(point):
 
 @given(cameras())
 def test_the_parameters_survive_the_pose(camera):
-    again = Camera.from_degrees(
+    rebuilt = Camera.from_degrees(
         camera.intrinsics,
         pan_deg=camera.pan_deg,
         tilt_deg=camera.tilt_deg,
@@ -41,7 +41,7 @@ def test_the_parameters_survive_the_pose(camera):
         distance_mm=camera.distance_mm,
         aim_mm=camera.aim_mm,
     )
-    np.testing.assert_allclose(again.cam_from_world, camera.cam_from_world, atol=1e-9)
+    np.testing.assert_allclose(rebuilt.cam_from_world, camera.cam_from_world, atol=1e-9)
 
 
 @given(cameras())
@@ -76,9 +76,9 @@ def test_sheet_and_pixel_are_inverse(camera, sheet_mm):
 
 @given(cameras(), real(-5, 5).filter(lambda scale: abs(scale) > 1e-3))
 def test_a_camera_survives_its_matrix_at_any_scale_and_sign(camera, scale):
-    again = Camera.from_matrix(scale * camera.matrix_px, (512, 480))
-    np.testing.assert_allclose(again.matrix_px, camera.matrix_px, rtol=1e-9, atol=1e-7)
-    np.testing.assert_allclose(again.cam_from_world, camera.cam_from_world, atol=1e-7)
+    rebuilt = Camera.from_matrix(scale * camera.matrix_px, (512, 480))
+    np.testing.assert_allclose(rebuilt.matrix_px, camera.matrix_px, rtol=1e-9, atol=1e-7)
+    np.testing.assert_allclose(rebuilt.cam_from_world, camera.cam_from_world, atol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -102,8 +102,8 @@ def there_and_back(lens, ray):
 
 @given(vectors(2, 0.3))
 def test_undistort_inverts_distort(ideal):
-    found = there_and_back(DISTORTED_LENS.lens, np.append(ideal, 1.0))
-    np.testing.assert_allclose(found[:2], ideal, atol=1e-12)
+    round_trip = there_and_back(DISTORTED_LENS.lens, np.append(ideal, 1.0))
+    np.testing.assert_allclose(round_trip[:2], ideal, atol=1e-12)
 
 
 def test_distortion_keeps_the_principal_point_and_is_the_identity_without_coefficients():
@@ -134,7 +134,7 @@ def test_intrinsics_in_pixels_and_in_millimetres_agree():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "message"),
     [
         ({"focal_length_mm": 16}, "focal length is not determined"),
         ({"focal_length_mm": 16, "focal_length_px": 900, "pixel_pitch_mm": 0.01}, "not determined"),
@@ -144,8 +144,8 @@ def test_intrinsics_in_pixels_and_in_millimetres_agree():
         ({"focal_length_px": 900, "distortion": range(8)}, "at most 5"),
     ],
 )
-def test_impossible_intrinsics_are_refused(arguments, words):
-    with pytest.raises(InputError, match=words):
+def test_impossible_intrinsics_are_refused(arguments, message):
+    with pytest.raises(InputError, match=message):
         Intrinsics(**({"image_size_px": (512, 480)} | arguments))
 
 

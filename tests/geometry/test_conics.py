@@ -53,7 +53,7 @@ def test_boundary_points_lie_on_the_ellipse(camera, centre, radius):
 
 
 def test_the_centre_of_the_image_is_not_the_image_of_the_centre():
-    """The shift of the reference rig's circles, measured elsewhere: 0.09 px, at most 0.12."""
+    """The shift of the reference rig's circles is about 0.09 px, at most 0.12 px."""
     camera = Camera.from_degrees(
         LENS, pan_deg=23.568, tilt_deg=38.616, swing_deg=-0.994, distance_mm=472.894
     )
@@ -75,7 +75,7 @@ def test_a_vanishing_circle_is_imaged_at_its_centre(camera, centre):
 
 
 def test_with_distortion_the_centre_is_that_of_an_ellipse_fitted_to_the_curve():
-    """The curve is no ellipse, so fits differ by up to 0.001 px."""
+    """The distorted curve is no ellipse: fits differ by up to 0.001 px."""
     import cv2
 
     camera = Camera.from_degrees(

@@ -27,8 +27,8 @@ def test_centre_and_inverse_by_cofactors(rig):
         np.testing.assert_allclose(
             centre_of_matrix(camera.matrix_px), camera.centre_world_mm, atol=1e-6
         )
-        left = camera.matrix_px[:, :3]
-        np.testing.assert_allclose(inverse_3x3(left) @ left, np.eye(3), atol=1e-9)
+        left_3x3 = camera.matrix_px[:, :3]
+        np.testing.assert_allclose(inverse_3x3(left_3x3) @ left_3x3, np.eye(3), atol=1e-9)
 
 
 @given(rigs_of_three(), points_near_sheet())
@@ -94,7 +94,7 @@ def test_distance_from_a_line_and_its_side(first, second, point):
 
 
 def test_the_right_of_a_line_is_right_on_the_picture():
-    """Walking right along u on a picture whose v points down, right is below."""
+    """The right side of a line along +u is below it because v points down."""
     line = line_through(np.array([0.0, 0.0]), np.array([10.0, 0.0]))
     assert signed_distance(line, np.array([5.0, 3.0])) > 0
 

@@ -1,4 +1,4 @@
-"""Where the centre of a circle's image is, against the closed form of conics and an integral."""
+"""The centre of a circle's image agrees with the closed form of conics and with an integral."""
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from trinoc.geometry.image_of_circle import circle_centre_offset, image_of_circl
 
 
 def sheet_to_picture(camera):
-    return lambda place: project(camera, jnp.append(place, 0.0))
+    return lambda point_mm: project(camera, jnp.append(point_mm, 0.0))
 
 
 centre_of_image = jax.jit(image_of_circle_centre)
@@ -25,9 +25,9 @@ def closed_form(camera, centre, radius):
 
 
 @jax.jit
-def images_and_areas(camera, places):
+def images_and_areas(camera, points_mm):
     mapping = sheet_to_picture(camera)
-    return jax.vmap(mapping)(places), jax.vmap(jax.jacfwd(mapping))(places)
+    return jax.vmap(mapping)(points_mm), jax.vmap(jax.jacfwd(mapping))(points_mm)
 
 
 @given(cameras(), vectors(2, 50.0), real(1, 15))
@@ -39,12 +39,12 @@ def test_under_a_homography_it_is_the_centre_of_the_conic(camera, centre, radius
 
 @given(cameras(DISTORTED_LENS), vectors(2, 40.0), real(2, 10))
 def test_with_distortion_it_is_the_centroid_of_the_images_of_the_disc(camera, centre, radius):
-    """Gauss's rule over the disc, each place weighted with the area of its image."""
+    """Gauss's rule over the disc. Each point is weighted with the area of its image."""
     node, weight = np.polynomial.legendre.leggauss(8)
     share, angle = 0.5 * (node + 1), np.arange(24) * (2 * np.pi / 24)
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    places = (centre + radius * share[:, None, None] * ring).reshape(-1, 2)
-    image, slope = images_and_areas(camera, places)
+    points_mm = (centre + radius * share[:, None, None] * ring).reshape(-1, 2)
+    image, slope = images_and_areas(camera, points_mm)
     area = np.repeat(weight * share, len(angle)) * np.abs(np.linalg.det(slope))
     np.testing.assert_allclose(
         centre_of_image(camera, centre, radius), area @ image / area.sum(), atol=1e-8
@@ -58,8 +58,8 @@ def test_a_point_has_no_offset_and_finite_derivatives():
     mapping = sheet_to_picture(camera)
     centre = np.array([10.0, 20.0])
 
-    def offset(place):
-        return circle_centre_offset(mapping, place, 0.0)
+    def offset(centre_mm):
+        return circle_centre_offset(mapping, centre_mm, 0.0)
 
     np.testing.assert_array_equal(jax.jit(offset)(centre), 0.0)
     np.testing.assert_array_equal(jax.jit(jax.jacfwd(offset))(centre), 0.0)

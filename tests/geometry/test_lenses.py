@@ -1,4 +1,4 @@
-"""Laws of every lens: it is inverted, differentiated, stacked and traced; OpenCV agrees."""
+"""Laws of every lens: inverse, derivatives, stacking, tracing, and agreement with OpenCV."""
 
 import cv2
 import jax
@@ -27,7 +27,7 @@ AFFINE = (987.0, 1194.0, 250.0, 243.0)
 
 
 def example(model: type[AbstractLens]) -> AbstractLens:
-    """A lens of a model, all of whose coefficients move the corners by some pixels."""
+    """A lens of the model. Each coefficient moves the corners of the image by some pixels."""
     ideal = model.from_parameters(np.array([*AFFINE, *np.zeros(len(model.coefficient_names))]))
     signs = (-1.0) ** np.arange(len(model.coefficient_names))
     return ideal.retract(
@@ -57,8 +57,8 @@ def test_names_values_and_scales_belong_together(lens):
     assert lens.coefficient_counts[0] == 0
     assert lens.coefficient_counts[-1] == len(lens.coefficient_names)
     assert lens_model(lens.model) is type(lens)
-    again = type(lens).from_parameters(lens.parameters)
-    np.testing.assert_array_equal(again.parameters, lens.parameters)
+    rebuilt = type(lens).from_parameters(lens.parameters)
+    np.testing.assert_array_equal(rebuilt.parameters, lens.parameters)
 
 
 @every_lens
@@ -107,11 +107,11 @@ def test_there_and_back_is_the_identity_to_second_order(model):
         here = lens.retract(lens.parameter_scales(SIZE_PX) * delta)
         return here.project_ray(here.unproject(uv_px))
 
-    place = np.zeros(len(lens.parameter_names)), np.array([400.0, 90.0])
+    arguments = np.zeros(len(lens.parameter_names)), np.array([400.0, 90.0])
     by_both = jax.jacfwd(back, argnums=(0, 1))
     (by_lens, by_pixel), (_, bend) = jax.jit(
         lambda delta, uv_px: (by_both(delta, uv_px), jax.jacfwd(by_both, argnums=1)(delta, uv_px))
-    )(*place)
+    )(*arguments)
     np.testing.assert_allclose(by_lens, 0.0, atol=1e-9)
     np.testing.assert_allclose(by_pixel, np.eye(2), atol=1e-9)
     np.testing.assert_allclose(bend, 0.0, atol=1e-9)
@@ -172,9 +172,9 @@ def test_opencv_projects_alike(model):
     still, coefficients = np.zeros(3), np.asarray(lens.coefficients)
     if model is KannalaBrandt:
         points *= (20, 20, 1)  # up to 78 degrees off the axis
-        seen = points[:, None]
+        fisheye_points = points[:, None]
         matrix = np.asarray(lens.matrix)
-        expected, _ = cv2.fisheye.projectPoints(seen, still, still, matrix, coefficients)
+        expected, _ = cv2.fisheye.projectPoints(fisheye_points, still, still, matrix, coefficients)
     else:
         expected, _ = cv2.projectPoints(points, still, still, np.asarray(lens.matrix), coefficients)
     ours = jax.vmap(project_ray, in_axes=(None, 0))(lens, points)

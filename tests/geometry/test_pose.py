@@ -1,4 +1,4 @@
-"""Laws of the retraction of a pose under every model of what is free."""
+"""Laws of the retraction of a pose under every pose model."""
 
 import jax
 import numpy as np
@@ -28,8 +28,8 @@ d_parameters_d_delta = jax.jit(Pose.d_parameters_d_delta, static_argnames=("mode
 @given(camera=cameras())
 def test_a_step_of_zero_leaves_the_pose(model, camera):
     zero = np.zeros(model.size)
-    again = retract(camera.pose, zero, model=model, unit_mm=UNIT_MM)
-    np.testing.assert_allclose(again.cam_from_world, camera.cam_from_world, atol=1e-9)
+    unmoved = retract(camera.pose, zero, model=model, unit_mm=UNIT_MM)
+    np.testing.assert_allclose(unmoved.cam_from_world, camera.cam_from_world, atol=1e-9)
 
 
 @every_model
@@ -91,9 +91,9 @@ def test_a_model_is_said_by_itself_or_by_its_word():
 
 
 @pytest.mark.parametrize(
-    ("pose_model", "words"),
+    ("pose_model", "message"),
     [("free", "must be one of"), ("rigid", "aim-free")],
 )
-def test_what_is_no_model_over_a_sheet_is_refused(pose_model, words):
-    with pytest.raises(InputError, match=words):
+def test_what_is_no_model_over_a_sheet_is_refused(pose_model, message):
+    with pytest.raises(InputError, match=message):
         pose_model_over_sheet(pose_model)

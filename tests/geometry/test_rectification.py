@@ -1,5 +1,5 @@
-"""Laws of cameras without distortion: rows and depths of rectified pairs; what is kept of the
-field; what cannot be done; the covariance."""
+"""Laws of cameras without distortion: rows and depths of rectified pairs, the field of view,
+the refusals and the covariance."""
 
 import itertools
 from typing import Any
@@ -57,7 +57,7 @@ def border(lens: Intrinsics) -> np.ndarray:
 
 
 def seen_through(lens: Intrinsics, ideal: Intrinsics, turn: np.ndarray) -> np.ndarray:
-    """Where the border of an ideal picture is in the picture of a lens."""
+    """Positions of the border of an ideal picture in the picture of a lens, px."""
     rays = np.c_[border(ideal), np.ones(len(border(ideal)))] @ np.linalg.inv(ideal.matrix).T
     return project_points(Pose(np.eye(3, 4)), lens.lens, rays @ turn)
 
@@ -69,7 +69,7 @@ def project(camera: Camera, points: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
 def test_the_field_is_all_or_what_is_valid(lens):
     size = np.array(lens.image_size_px)
-    valid, whole = (undistort_lens(lens, alpha=alpha) for alpha in (0.0, 1.0))
+    valid, full_field = (undistort_lens(lens, alpha=alpha) for alpha in (0.0, 1.0))
     assert not valid.has_distortion
     assert valid.image_size_px == lens.image_size_px
     uv_px = seen_through(lens, valid, np.eye(3))
@@ -78,13 +78,13 @@ def test_the_field_is_all_or_what_is_valid(lens):
     # It touches the border: no larger one fits there.
     assert min(uv_px.min(), (size - 1 - uv_px).min()) < 0.2
     normalised = undistort_pixels(lens, border(lens))
-    seen = (normalised - lens.matrix[:2, 2]) @ np.linalg.inv(lens.matrix[:2, :2]).T
-    within = np.linalg.norm(seen, axis=1) < np.tan(np.radians(75))
-    shown = (np.c_[seen, np.ones(len(seen))] @ whole.matrix.T)[within, :2]
+    ideal_points = (normalised - lens.matrix[:2, 2]) @ np.linalg.inv(lens.matrix[:2, :2]).T
+    within = np.linalg.norm(ideal_points, axis=1) < np.tan(np.radians(75))
+    shown = (np.c_[ideal_points, np.ones(len(ideal_points))] @ full_field.matrix.T)[within, :2]
     assert (shown > -0.05).all()
     assert (shown < size - 1 + 0.05).all()
-    assert whole.focal_length_px[0] < valid.focal_length_px[0]
-    for ideal in (valid, whole):
+    assert full_field.focal_length_px[0] < valid.focal_length_px[0]
+    for ideal in (valid, full_field):
         shape = ideal.matrix[:2, :2] / ideal.matrix[0, 0]
         np.testing.assert_allclose(shape, lens.matrix[:2, :2] / lens.matrix[0, 0], rtol=1e-12)
 
@@ -97,7 +97,7 @@ def test_between_valid_and_all_the_scale_is_between():
 
 
 def test_the_field_is_that_of_opencv():
-    """Whose outer one has the pixels' shape free, as ours has not."""
+    """OpenCV's outer field lets the shape of the pixels change, ours does not."""
     matrix, distortion = SKEWED.matrix * [[1, 0, 1], [1, 1, 1], [1, 1, 1]], SKEWED.distortion
     lens = Intrinsics(
         image_size_px=SKEWED.image_size_px,
@@ -119,7 +119,7 @@ def test_an_ideal_lens_stays_as_it_is():
 
 @pytest.mark.parametrize("alpha", [0.0, 1.0])
 def test_beyond_a_fold_in_the_corners_ideal_pictures_are_black(alpha):
-    """With alpha 0 every pixel is valid; with 1, what lies beyond is black."""
+    """With alpha 0 every pixel is valid; with alpha 1 pixels beyond the fold are black."""
     lens = Intrinsics(
         image_size_px=(640, 480), focal_length_px=500.0, distortion=(-0.3, 0.0, 0.001, 0.0)
     )
@@ -149,14 +149,14 @@ def test_a_distortion_that_folds_is_refused():
 
 
 def test_a_square_in_a_turned_square_is_half_as_large():
-    """Of a diamond the largest square has half its width, wherever the grids begin."""
+    """The largest square in a diamond has half its width, wherever the grids begin."""
     diamond = np.array([[13.0, -2.0], [3.0, 8.0], [-7.0, -2.0], [3.0, -12.0]])
-    beside = diamond + np.array([0.0, 30.0])
+    lower_diamond = diamond + np.array([0.0, 30.0])
     windows = fit_windows([diamond], (101, 101), 0.0)
     assert windows is not None
     assert 50 / windows.scale_px == pytest.approx(5.0, rel=1e-3)
     np.testing.assert_allclose((50 - windows.origins_px[0]) / windows.scale_px, [3, -2], atol=1e-2)
-    assert fit_windows([diamond, beside], (101, 101), 0.0) is None
+    assert fit_windows([diamond, lower_diamond], (101, 101), 0.0) is None
     aside = fit_windows([diamond, diamond + np.array([30.0, 0.0])], (101, 101), 0.0)
     assert aside is not None
     np.testing.assert_allclose(np.diff(aside.origins_px[:, 0]), -30 * aside.scale_px, rtol=1e-2)
@@ -166,8 +166,8 @@ POINTS = np.random.default_rng(5).uniform(-60, 60, (40, 3))
 
 
 def pairs() -> st.SearchStrategy[Rig]:
-    def choose(found: list[Camera], lens: Intrinsics) -> Rig:
-        first, second = (Camera(lens, camera.pose) for camera in found[:2])
+    def choose(cameras: list[Camera], lens: Intrinsics) -> Rig:
+        first, second = (Camera(lens, camera.pose) for camera in cameras[:2])
         return Rig({"a": first, "b": second})
 
     lenses = st.sampled_from([LENS, DISTORTED_LENS])
@@ -176,7 +176,7 @@ def pairs() -> st.SearchStrategy[Rig]:
 
 
 def are_beside_each_other(rig: Rig) -> bool:
-    """Whether no camera looks within 40 degrees along the line to the other one."""
+    """True if both cameras look at least 40 degrees away from their baseline."""
     first, second = rig.cameras
     line = np.asarray(second.centre_world_mm) - np.asarray(first.centre_world_mm)
     along = [abs(camera.pose.rotation[2] @ line) for camera in rig.cameras]
@@ -186,14 +186,14 @@ def are_beside_each_other(rig: Rig) -> bool:
 @given(rig=pairs(), alpha=st.sampled_from([0.0, 0.3, 1.0]))
 @settings(max_examples=8)
 def test_two_cameras_have_equal_rows_and_disparity_is_depth(rig, alpha):
-    found, disparity = rectify_pair(rig, alpha=alpha)
-    a, b = found.cameras
+    rectified, disparity = rectify_pair(rig, alpha=alpha)
+    a, b = rectified.cameras
     uv_a, uv_b = project(a, POINTS), project(b, POINTS)
     np.testing.assert_allclose(uv_a[:, 1], uv_b[:, 1], atol=1e-9)
     np.testing.assert_array_equal(a.pose.rotation, b.pose.rotation)
     depth = POINTS @ a.pose.rotation[2] + a.pose.translation_mm[2]
     np.testing.assert_allclose(disparity.depth_mm(uv_a[:, 0] - uv_b[:, 0]), depth, rtol=1e-9)
-    for camera, before in zip(found.cameras, rig.cameras, strict=True):
+    for camera, before in zip(rectified.cameras, rig.cameras, strict=True):
         np.testing.assert_allclose(camera.centre_world_mm, before.centre_world_mm, atol=1e-9)
         # The right side stays right, and up stays up.
         turn = camera.pose.rotation @ before.pose.rotation.T
@@ -205,12 +205,12 @@ def test_two_cameras_have_equal_rows_and_disparity_is_depth(rig, alpha):
 
 
 def test_a_homography_leads_from_each_picture_to_its_rectified_one():
-    """Projecting into the old picture and mapping is projecting into the new one."""
-    whole = table1_rig()
-    rig = Rig({name: whole[name] for name in ("left", "right")})
-    found, _ = rectify_pair(rig)
+    """The homography maps projections into the old picture to projections into the new one."""
+    three_cameras = table1_rig()
+    rig = Rig({name: three_cameras[name] for name in ("left", "right")})
+    rectified, _ = rectify_pair(rig)
     for name, camera in rig.items():
-        new = found[name]
+        new = rectified[name]
         map_ = new.intrinsics.matrix @ new.pose.rotation @ camera.pose.rotation.T
         map_ = map_ @ np.linalg.inv(camera.intrinsics.matrix)
         image = np.c_[project(camera, POINTS), np.ones(len(POINTS))] @ map_.T
@@ -218,20 +218,23 @@ def test_a_homography_leads_from_each_picture_to_its_rectified_one():
 
 
 def test_two_cameras_turn_as_those_of_stereo_rectify():
-    """Up to the sign and place of the pictures: OpenCV halves the turn between the cameras, too."""
-    near = Camera(LENS, Pose(np.eye(3, 4)))
+    """OpenCV halves the turn, too; the pictures' sign and position may differ."""
+    first_camera = Camera(LENS, Pose(np.eye(3, 4)))
     turn = np.asarray(rotation_from_vector(np.array([0.02, -0.1, 0.03])))
-    far = Camera(LENS, Pose.from_centre(turn, np.array([80.0, 4.0, -6.0])))
-    found = rectify_pair(Rig({"a": near, "b": far}))[0]["a"].pose.rotation
+    second_camera = Camera(LENS, Pose.from_centre(turn, np.array([80.0, 4.0, -6.0])))
+    rotation = rectify_pair(Rig({"a": first_camera, "b": second_camera}))[0]["a"].pose.rotation
     none = np.zeros(5)
-    first, *_ = OPENCV.stereoRectify(
-        *(LENS.matrix, none) * 2, LENS.image_size_px, turn, far.pose.translation_mm[:, None]
+    expected, *_ = OPENCV.stereoRectify(
+        *(LENS.matrix, none) * 2,
+        LENS.image_size_px,
+        turn,
+        second_camera.pose.translation_mm[:, None],
     )
-    np.testing.assert_allclose(found, first, atol=2e-3)
+    np.testing.assert_allclose(rotation, expected, atol=2e-3)
 
 
 def convergent(angle_deg: float) -> Rig:
-    """Two cameras that look at the origin from so many degrees apart."""
+    """Two cameras that look at the origin, with this angle between their directions."""
     matrix = np.array([[1000, 0, 639.5], [0, 1000, 479.5], [0, 0, 1.0]])
     matrices = {}
     for name, side in (("a", -1), ("b", 1)):
@@ -247,7 +250,7 @@ def convergent(angle_deg: float) -> Rig:
 @pytest.mark.parametrize("angle_deg", [0.5, 20.0, 40.0, 60.0, 75.0, 90.0])
 @pytest.mark.parametrize("alpha", [0.0, 1.0])
 def test_what_is_lost_of_the_common_field_is_said_or_refused(angle_deg, alpha):
-    """Points of a plane between both, counted by projection matrices alone."""
+    """The lost share is counted with points of a plane between both cameras and their matrices."""
     rig = convergent(angle_deg)
     x, z = np.meshgrid(np.linspace(-700, 700, 141), np.linspace(-500, 500, 101))
     points = np.stack([x.ravel(), 0 * x.ravel(), z.ravel(), np.ones(x.size)], axis=1)
@@ -272,17 +275,19 @@ def test_what_is_lost_of_the_common_field_is_said_or_refused(angle_deg, alpha):
     assert all(f"show {100 * share:.0f} % of the common field" in note for note in ideal.notes)
 
 
-def in_a_row(*places: float, turn=(0.0, 0.0, 0.0)) -> Rig:
-    own = np.asarray(rotation_from_vector(np.array(turn)))
-    centres = [np.array([x, 0.0, 0.0]) for x in places]
-    return Rig({f"c{k}": Camera(LENS, Pose.from_centre(own, c)) for k, c in enumerate(centres)})
+def in_a_row(*x_mm: float, turn=(0.0, 0.0, 0.0)) -> Rig:
+    rotation = np.asarray(rotation_from_vector(np.array(turn)))
+    centres = [np.array([x, 0.0, 0.0]) for x in x_mm]
+    return Rig(
+        {f"c{k}": Camera(LENS, Pose.from_centre(rotation, c)) for k, c in enumerate(centres)}
+    )
 
 
 FRONT = POINTS + np.array([60.0, 0.0, 600.0])
 
 
 @pytest.mark.parametrize(
-    ("rig", "says"),
+    ("rig", "message"),
     [
         (in_a_row(0.0), "but the rig has 1"),
         (in_a_row(0.0, 1.0, 2.0), "but the rig has 3"),
@@ -291,8 +296,8 @@ FRONT = POINTS + np.array([60.0, 0.0, 600.0])
         (in_a_row(0.0, 80.0, turn=(0.0, 1.2, 0.0)), "it looks along the baseline to"),
     ],
 )
-def test_what_cannot_be_rectified_has_a_cause_and_a_remedy(rig, says):
-    with pytest.raises(InputError, match=says) as caught:
+def test_what_cannot_be_rectified_has_a_cause_and_a_remedy(rig, message):
+    with pytest.raises(InputError, match=message) as caught:
         rectify_pair(rig)
     assert str(caught.value).count(". ") == 1
 
@@ -332,12 +337,12 @@ def test_a_camera_that_sees_the_other_is_refused():
         rectify_pair(rig)
     # A fisheye shows the other one beyond what any ideal picture shows.
     eyes = {name: Camera(FISHEYE, camera.pose) for name, camera in in_a_row(0.0, 80.0).items()}
-    found, _ = rectify_pair(Rig(eyes))
-    rows = [project(camera, FRONT)[:, 1] for camera in found.cameras]
+    rectified, _ = rectify_pair(Rig(eyes))
+    rows = [project(camera, FRONT)[:, 1] for camera in rectified.cameras]
     np.testing.assert_allclose(rows[0], rows[1], atol=1e-9)
 
 
-NAMES = tuple(f"{view}.{own}" for view in ("a", "b") for own in PARAMETER_NAMES[:4])
+NAMES = tuple(f"{view}.{name}" for view in ("a", "b") for name in PARAMETER_NAMES[:4])
 
 
 def uncertain(rig: Rig, names=NAMES) -> Rig:
@@ -346,62 +351,67 @@ def uncertain(rig: Rig, names=NAMES) -> Rig:
 
 
 def test_the_covariance_of_poses_is_carried_along():
-    """The turned camera of a changed one is the change of the turned one."""
-    whole = table1_rig()
-    rig = uncertain(Rig({"a": whole["left"], "b": whole["right"]}))
-    found, _ = rectify_pair(rig)
-    assert found.parameters == tuple(f"{v}.{own}" for v in ("a", "b") for own in PARAMETER_NAMES)
+    """Turning a changed camera equals changing the turned camera."""
+    three_cameras = table1_rig()
+    rig = uncertain(Rig({"a": three_cameras["left"], "b": three_cameras["right"]}))
+    rectified, _ = rectify_pair(rig)
+    assert rectified.parameters == tuple(
+        f"{v}.{parameter}" for v in ("a", "b") for parameter in PARAMETER_NAMES
+    )
     step = np.linalg.cholesky(rig.covariance)
-    moved = np.zeros((len(found.parameters), len(step)))
-    for k, way in enumerate(step.T):
+    moved = np.zeros((len(rectified.parameters), len(step)))
+    for k, column in enumerate(step.T):
         ends = []
         for sign in (-1, 1):
-            values = dict(zip(rig.parameters, sign * way, strict=True))
+            values = dict(zip(rig.parameters, sign * column, strict=True))
             for view in ("a", "b"):
                 old = rig[view]
                 changed = Camera.from_degrees(
                     LENS,
                     **{
-                        own: getattr(old, own) + values[f"{view}.{own}"]
-                        for own in PARAMETER_NAMES[:4]
+                        angle: getattr(old, angle) + values[f"{view}.{angle}"]
+                        for angle in PARAMETER_NAMES[:4]
                     },
                 )
-                turn = found[view].pose.rotation @ old.pose.rotation.T
+                turn = rectified[view].pose.rotation @ old.pose.rotation.T
                 pose = Pose.from_translation(
                     turn @ changed.pose.rotation, turn @ changed.pose.translation_mm
                 )
-                own = Rig({view: Camera(LENS, pose)})
-                ends += [own.value(f"{view}.{name}") for name in PARAMETER_NAMES]
+                turned_rig = Rig({view: Camera(LENS, pose)})
+                ends += [turned_rig.value(f"{view}.{name}") for name in PARAMETER_NAMES]
         half = len(ends) // 2
         moved[:, k] = (np.array(ends[half:]) - np.array(ends[:half])) / 2
-    scale = np.sqrt(np.diag(found.covariance))
+    scale = np.sqrt(np.diag(rectified.covariance))
     np.testing.assert_allclose(
-        found.covariance / np.outer(scale, scale),
+        rectified.covariance / np.outer(scale, scale),
         moved @ moved.T / np.outer(scale, scale),
         atol=1e-5,
     )
 
 
 def test_the_covariance_stays_where_only_lenses_that_are_exact_change():
-    whole = table1_rig()
+    three_cameras = table1_rig()
     bent = Rig(
-        {n: Camera(DISTORTED_LENS, whole[o].pose) for n, o in (("a", "left"), ("b", "right"))}
+        {
+            n: Camera(DISTORTED_LENS, three_cameras[o].pose)
+            for n, o in (("a", "left"), ("b", "right"))
+        }
     )
     rig = uncertain(bent)
-    found = undistort_rig(rig)
-    assert found.parameters == rig.parameters
-    np.testing.assert_allclose(found.covariance, rig.covariance, rtol=1e-12)
+    undistorted = undistort_rig(rig)
+    assert undistorted.parameters == rig.parameters
+    np.testing.assert_allclose(undistorted.covariance, rig.covariance, rtol=1e-12)
 
 
 def test_errors_of_lenses_that_change_leave_no_covariance():
-    whole = table1_rig()
-    ideal = Rig({"a": whole["left"], "b": whole["right"]})
+    three_cameras = table1_rig()
+    ideal = Rig({"a": three_cameras["left"], "b": three_cameras["right"]})
     bent = Rig({n: Camera(DISTORTED_LENS, camera.pose) for n, camera in ideal.items()})
     names = (*NAMES, "a.fx_px")
     assert undistort_rig(uncertain(bent, names)).parameters == ()
     assert rectify_pair(uncertain(ideal, names))[0].parameters == ()
-    kept = undistort_rig(uncertain(ideal, names))
-    assert set(kept.parameters) == set(names)
+    undistorted = undistort_rig(uncertain(ideal, names))
+    assert set(undistorted.parameters) == set(names)
     # An axis that does not meet the sheet has no distance.
     away = uncertain(in_a_row(0.0, 80.0, turn=(0.0, 0.1, 0.0)), ("c0.pan_deg", "c1.pan_deg"))
     assert rectify_pair(away)[0].parameters == ()
@@ -421,10 +431,10 @@ def test_undistorting_a_pixel_is_projecting_into_the_new_picture(camera, point):
 
 
 def test_the_border_goes_once_around():
-    places = border_in_plane(LENS, np.eye(3))
-    x, y = places.T
+    points = border_in_plane(LENS, np.eye(3))
+    x, y = points.T
     area = 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))
     assert abs(area) == pytest.approx(511 * 479 / np.prod(LENS.focal_length_px), rel=1e-9)
-    steps = np.abs(places - np.roll(places, -1, axis=0)).sum(axis=1)
+    steps = np.abs(points - np.roll(points, -1, axis=0)).sum(axis=1)
     assert steps.max() < 1.2 * 512 / 32 / LENS.focal_length_px.min()
-    assert len(list(itertools.groupby(map(tuple, places)))) == len(places)
+    assert len(list(itertools.groupby(map(tuple, points)))) == len(points)

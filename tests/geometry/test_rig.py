@@ -16,9 +16,9 @@ def test_a_rig_keeps_the_order_of_its_cameras(cameras, names):
     rig = Rig(dict(zip(names, cameras, strict=True)))
     assert list(rig) == names
     leaves, structure = jax.tree.flatten(rig)
-    again = jax.tree.unflatten(structure, leaves)
-    assert list(again) == names
-    np.testing.assert_array_equal(again.matrices_px, rig.matrices_px)
+    rebuilt = jax.tree.unflatten(structure, leaves)
+    assert list(rebuilt) == names
+    np.testing.assert_array_equal(rebuilt.matrices_px, rig.matrices_px)
     for name, camera in rig.items():
         assert rig[name] is camera
 
@@ -67,20 +67,22 @@ def test_what_a_rig_refuses():
     with pytest.raises(InputError, match='Camera "left"'):
         Rig.from_matrices({"left": np.zeros((3, 4))}, (512, 480))
     assert np.isnan(rig.sigma("upper.pan_deg"))
-    known = Rig({"upper": camera}, parameters=("upper.pan_deg",), covariance=np.array([[0.25]]))
-    assert known.sigma("upper.pan_deg") == 0.5
+    uncertain_rig = Rig(
+        {"upper": camera}, parameters=("upper.pan_deg",), covariance=np.array([[0.25]])
+    )
+    assert uncertain_rig.sigma("upper.pan_deg") == 0.5
 
 
 @pytest.mark.parametrize(
-    ("rows", "words"),
+    ("rows", "message"),
     [
         (np.zeros((3, 5)), "shape"),
         ([[0.0, 0, 1, 1], [0, 0, np.nan, 1]], "Segment 1 has a coordinate"),
         ([[0.0, 0, 1, 1], [2, 3, 2, 3]], "Segment 1 has two equal ends"),
     ],
 )
-def test_segments_that_cannot_be_used_are_refused(rows, words):
-    with pytest.raises(InputError, match=words):
+def test_segments_that_cannot_be_used_are_refused(rows, message):
+    with pytest.raises(InputError, match=message):
         Segments.from_endpoints(np.asarray(rows))
 
 

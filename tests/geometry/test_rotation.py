@@ -62,7 +62,7 @@ def test_pan_tilt_swing_survive_the_rotation_matrix(pan, tilt, swing):
 
 @given(real(-3.1, 3.1), real(0.1, 1.4))
 def test_signs_of_pan_and_tilt(pan, tilt):
-    """Design: centre = d (cos t sin p, -cos t cos p, sin t), on the backward optical axis."""
+    """The centre is d (cos t sin p, -cos t cos p, sin t), on the backward optical axis."""
     assume(abs(pan) > 1e-6)
     forward = rotation_from_pan_tilt_swing(pan, tilt, 0.0)[2]
     centre = (np.cos(tilt) * np.sin(pan), -np.cos(tilt) * np.cos(pan), np.sin(tilt))

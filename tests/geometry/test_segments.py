@@ -1,4 +1,4 @@
-"""Tables of segments: parts of them, and one after another."""
+"""Tables of segments: selecting rows and appending tables."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ from trinoc.geometry.segments import Segments, as_endpoints, covariance_of_ends
 
 
 def some(count: int, seed: int) -> Segments:
-    """Segments of which everything is known but junctions."""
+    """Random segments with all columns except the junctions."""
     random = np.random.default_rng(seed)
     plain = Segments.from_endpoints(random.uniform(0, 500, (count, 4)), image_size_px=(512, 480))
     return dataclasses.replace(
@@ -24,10 +24,10 @@ def some(count: int, seed: int) -> Segments:
 
 
 def test_a_table_cut_in_two_and_joined_is_the_table():
-    whole = some(9, seed=0)
-    again = whole.take(np.arange(4)).append(whole.take(np.arange(4, 9)))
+    table = some(9, seed=0)
+    joined = table.take(np.arange(4)).append(table.take(np.arange(4, 9)))
     for name in ("endpoints_px", "covariance_px2", "contrast", "support", "reasons", "side_levels"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(whole, name), err_msg=name)
+        np.testing.assert_array_equal(getattr(joined, name), getattr(table, name), err_msg=name)
 
 
 def test_what_follows_belongs_to_no_chain():
@@ -38,14 +38,14 @@ def test_what_follows_belongs_to_no_chain():
 
 
 def test_what_one_table_does_not_know_is_not_made_up():
-    known, ends = some(4, seed=3), np.array([[1.0, 2.0, 30.0, 40.0]])
+    complete, ends = some(4, seed=3), np.array([[1.0, 2.0, 30.0, 40.0]])
     plain = Segments.from_endpoints(ends)
-    after = known.append(plain)
+    after = complete.append(plain)
     assert after.side_levels is not None
     assert after.reasons is not None
     assert np.isnan(after.side_levels[4]).all()
     assert after.reasons[4] == ""
-    before = plain.append(known)
+    before = plain.append(complete)
     assert before.side_levels is None
     assert before.reasons is None
     assert before.chain is None
@@ -56,11 +56,11 @@ def test_arrays_of_opencv_s_detectors_are_taken_as_they_are():
     cv2.rectangle(picture, (40, 50), (200, 140), 190, -1)
     by_lsd = cv2.createLineSegmentDetector().detect(picture)[0]
     by_hough = cv2.HoughLinesP(cv2.Canny(picture, 50, 150), 1, np.pi / 180, 30, minLineLength=30)
-    for given in (np.asarray(by_lsd), np.asarray(by_hough)):
-        assert len(given) >= 4
+    for detected in (np.asarray(by_lsd), np.asarray(by_hough)):
+        assert len(detected) >= 4
         # Most versions give (n, 1, 4), some (n, 4).
-        flat = given.reshape(-1, 4).astype(np.float64)
-        rows = given.reshape(-1, 1, 4)
+        flat = detected.reshape(-1, 4).astype(np.float64)
+        rows = detected.reshape(-1, 1, 4)
         expected = Segments.from_endpoints(flat).endpoints_px
         np.testing.assert_array_equal(Segments.from_endpoints(rows).endpoints_px, expected)
         np.testing.assert_array_equal(as_endpoints(rows).reshape(-1, 4), flat)

@@ -1,4 +1,4 @@
-"""Lenses whose skew is a parameter are the lenses that they come from."""
+"""Skewed lenses image as the lenses from which they are made, and convert back to them."""
 
 import jax
 import numpy as np

@@ -1,4 +1,4 @@
-"""Laws of splined lenses: their core, their surface, their prior, where they are one to one."""
+"""Laws of splined lenses: core, surface, prior, and the region in which they are one to one."""
 
 import pickle
 
@@ -36,7 +36,7 @@ unproject = jax.jit(jax.vmap(lambda lens, uv_px: lens.unproject(uv_px), (None, 0
 
 
 def corrected(core=CORE, scale_px=2.0, seed=0):
-    """A lens whose control points are scattered about 0."""
+    """A lens with random control points about 0."""
     lens = spline_lens(core, SIZE_PX)
     values = np.array(lens.parameters)
     control = np.random.default_rng(seed).normal(0.0, scale_px, lens.control_count)
@@ -47,7 +47,7 @@ def corrected(core=CORE, scale_px=2.0, seed=0):
 
 
 def pixels(count=60, seed=1):
-    """Places of the picture, its corners among them."""
+    """A grid of pixels of the picture, including its corners."""
     corners = [[u, v] for u in (0, SIZE_PX[0] - 1) for v in (0, SIZE_PX[1] - 1)]
     inside = np.random.default_rng(seed).uniform((0, 0), SIZE_PX, (count, 2))
     return np.concatenate([corners, inside])
@@ -56,14 +56,14 @@ def pixels(count=60, seed=1):
 def test_the_surface_is_de_boor_s():
     random = np.random.default_rng(0)
     control = random.normal(size=(7, 9))
-    for place in random.uniform((0, 0), (6, 4), (20, 2)):
+    for point in random.uniform((0, 0), (6, 4), (20, 2)):
         expected = control
-        for axis, along in enumerate(place[::-1]):
+        for axis, along in enumerate(point[::-1]):
             count = expected.shape[0]
             knots = np.arange(count + ORDER) - (ORDER - 1.0)
             expected = BSpline(knots, expected, ORDER - 1)(along)
             assert axis == 1 or expected.shape == (9,)
-        np.testing.assert_allclose(height(control, place), expected, atol=1e-12)
+        np.testing.assert_allclose(height(control, point), expected, atol=1e-12)
 
 
 def test_beyond_its_grid_the_surface_stays_as_it_is_at_the_edge():
@@ -115,9 +115,9 @@ def test_pixels_are_linear_in_the_control_points():
         return jax.vmap(lens.with_parameters(values).project_ray)(rays)
 
     expected = by_parameters(lens.parameters)[..., -control:]
-    found = jax.vmap(lens.by_control)(project(lens.core, rays))
-    np.testing.assert_allclose(found, expected, atol=1e-9)
-    np.testing.assert_allclose(np.sum(found, axis=(1, 2)), 2.0, rtol=1e-12)
+    by_control = jax.vmap(lens.by_control)(project(lens.core, rays))
+    np.testing.assert_allclose(by_control, expected, atol=1e-9)
+    np.testing.assert_allclose(np.sum(by_control, axis=(1, 2)), 2.0, rtol=1e-12)
 
 
 def test_the_prior_knows_the_correction_to_one_pixel_and_nothing_else():

@@ -1,4 +1,4 @@
-"""Constructors and properties of cameras trace; outside a trace they give NumPy in float64."""
+"""Constructors and properties of cameras can be traced; otherwise they return NumPy float64."""
 
 import jax
 import jax.numpy as jnp

@@ -41,9 +41,11 @@ def test_a_segment_comes_back_from_two_or_three_views(rig, first, second):
     if np.linalg.norm(np.diff(fragments, axis=1), axis=-1).min() < 3:
         return  # seen end on
     covariance = np.stack([covariance_of_ends(f[None], 0.3, 0.3)[0] for f in fragments])
-    for seen in ([True] * 3, [True, False, True], [False, True, True]):
-        given_fragments = np.where(np.array(seen)[:, None, None], fragments, np.nan)
-        answer = triangulate_segment(matrices(rig), given_fragments, covariance, np.array(seen))
+    for is_visible in ([True] * 3, [True, False, True], [False, True, True]):
+        visible_fragments = np.where(np.array(is_visible)[:, None, None], fragments, np.nan)
+        answer = triangulate_segment(
+            matrices(rig), visible_fragments, covariance, np.array(is_visible)
+        )
         np.testing.assert_allclose(answer.ends_mm, (first, second), atol=1e-5)
         assert abs(answer.chi_square) < 1e-8
         eigenvalues = np.linalg.eigvalsh(answer.covariance_mm2)
@@ -53,9 +55,9 @@ def test_a_segment_comes_back_from_two_or_three_views(rig, first, second):
 def test_the_order_of_views_does_not_matter():
     rig, fragments, covariance = noisy_example(3)
     order = np.array([2, 0, 1])
-    seen = np.ones(3, bool)
-    one = triangulate_segment(matrices(rig), fragments, covariance, seen)
-    two = triangulate_segment(matrices(rig)[order], fragments[order], covariance[order], seen)
+    is_visible = np.ones(3, bool)
+    one = triangulate_segment(matrices(rig), fragments, covariance, is_visible)
+    two = triangulate_segment(matrices(rig)[order], fragments[order], covariance[order], is_visible)
     np.testing.assert_allclose(one.ends_mm, two.ends_mm, atol=1e-9)
     np.testing.assert_allclose(one.covariance_mm2, two.covariance_mm2, rtol=1e-9)
 
@@ -74,7 +76,7 @@ def noisy_example(seed):
 
 
 def test_the_covariance_is_that_of_many_noisy_segments():
-    """Monte Carlo: normalised errors of 2,000 triangulations follow a chi-square of 6."""
+    """Squared normalised errors of 2,000 triangulations follow chi-square with 6 degrees."""
     rig, _, covariance = noisy_example(0)
     ends = np.array([[10.0, -20.0, 5.0], [30.0, 25.0, 30.0]])
     truth = images(rig, ends)
@@ -92,13 +94,13 @@ def test_the_covariance_is_that_of_many_noisy_segments():
 
 def test_views_that_see_nothing_do_not_speak():
     rig, fragments, covariance = noisy_example(5)
-    seen = np.array([True, False, True])
+    is_visible = np.array([True, False, True])
     fragments_nan = fragments.copy()
     fragments_nan[1] = np.nan
     covariance_nan = covariance.copy()
     covariance_nan[1] = np.nan
-    one = triangulate_segment(matrices(rig), fragments, covariance, seen)
-    two = triangulate_segment(matrices(rig), fragments_nan, covariance_nan, seen)
+    one = triangulate_segment(matrices(rig), fragments, covariance, is_visible)
+    two = triangulate_segment(matrices(rig), fragments_nan, covariance_nan, is_visible)
     np.testing.assert_array_equal(one.ends_mm, two.ends_mm)
 
 

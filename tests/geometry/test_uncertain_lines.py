@@ -1,4 +1,4 @@
-"""What several lines share is in their covariance together, and in that of what is measured."""
+"""Errors that several lines share enter their joint covariance and that of derived quantities."""
 
 import numpy as np
 import pytest
@@ -9,27 +9,27 @@ from trinoc.geometry.uncertain_lines import UncertainLines, distance_mm
 @pytest.fixture
 def lines() -> UncertainLines:
     random = np.random.default_rng(0)
-    own, shared = random.normal(size=(3, 6, 6)), random.normal(size=(4, 4))
+    root, shared = random.normal(size=(3, 6, 6)), random.normal(size=(4, 4))
     return UncertainLines(
         random.normal(size=(3, 2, 3)) + np.array([[0.0, 0, 0], [50.0, 0, 0]]),
-        own @ np.swapaxes(own, 1, 2),
+        root @ np.swapaxes(root, 1, 2),
         random.normal(size=(3, 6, 4)),
         shared @ shared.T,
     )
 
 
 def test_the_covariance_together_is_own_parts_and_one_of_the_cameras(lines) -> None:
-    chosen = [2, 0]
-    by = np.concatenate([lines.by_parameters[k] for k in chosen])
+    rows = [2, 0]
+    by = np.concatenate([lines.by_parameters[k] for k in rows])
     expected = by @ lines.parameter_covariance @ by.T
     expected[:6, :6] += lines.fragment_covariance_mm2[2]
     expected[6:, 6:] += lines.fragment_covariance_mm2[0]
-    np.testing.assert_allclose(lines.joint_covariance_mm2(chosen), expected)
+    np.testing.assert_allclose(lines.joint_covariance_mm2(rows), expected)
     np.testing.assert_allclose(lines.covariance_mm2[2], expected[:6, :6])
 
 
 def test_a_motion_that_all_lines_share_leaves_their_distance_as_it_is(lines) -> None:
-    """The cameras' only error shifts all ends alike."""
+    """The only error of the cameras shifts all ends by the same vector."""
     shift = np.tile(np.eye(3), (2, 1))
     moved = UncertainLines(
         lines.ends_mm,

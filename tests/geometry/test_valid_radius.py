@@ -1,4 +1,4 @@
-"""A lens that folds inside its image: one to one up to a radius, NaN beyond."""
+"""A lens that folds inside its image is one to one up to a radius and NaN beyond it."""
 
 import jax
 import numpy as np
@@ -56,14 +56,14 @@ def folding_lenses(model: type, count: int, seed: int = 0) -> list[Intrinsics]:
             moved = np.array(lens.parameters)
             moved[-lens.control_count :] = random.normal(0, 2.0, lens.control_count)
             lens = lens.with_parameters(moved)
-        given = Intrinsics.of_lens(lens, SIZE_PX)
-        if 0.0 < given.valid_radius_px < 700.0:
-            lenses.append(given)
+        intrinsics = Intrinsics.of_lens(lens, SIZE_PX)
+        if 0.0 < intrinsics.valid_radius_px < 700.0:
+            lenses.append(intrinsics)
     return lenses
 
 
 def pixels_about(lens: Intrinsics, share: tuple[float, float], seed: int = 0) -> np.ndarray:
-    """Pixels in a ring about the principal point, by shares of the valid radius."""
+    """Pixels in a ring about the principal point between these shares of the valid radius."""
     random = np.random.default_rng(seed)
     angle = random.uniform(0, 2 * np.pi, 200)
     radius = lens.valid_radius_px * np.sqrt(random.uniform(share[0] ** 2, share[1] ** 2, 200))
@@ -74,7 +74,7 @@ def pixels_about(lens: Intrinsics, share: tuple[float, float], seed: int = 0) ->
 
 @pytest.mark.parametrize("model", [*SPREADS, *SPLINED_MODELS], ids=lambda model: model.model)
 def test_inside_the_radius_every_pixel_has_its_ray_and_beyond_none(model):
-    """The pixels at the radius itself are among them."""
+    """The test includes pixels exactly at the radius."""
     # The angle from the axis is no place of an ideal picture beyond 90 degrees.
     for lens in folding_lenses(model, 40):
         if lens.lens.fold_angle_rad() >= np.pi / 2:
@@ -93,12 +93,16 @@ def test_beyond_the_fold_every_projection_is_nan_and_inside_it_is_unchanged(lens
     camera = Camera(lens, Pose(np.column_stack([np.diag([1.0, -1.0, -1.0]), [1.0, 2.0, 500.0]])))
     fold = np.tan(lens.lens.fold_angle_rad())
     azimuth = np.linspace(0, 6, 30)
-    way = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+    directions = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
     edge = undistort_pixels(lens, pixels_about(lens, (1.0, 1.0)))
-    least = np.hypot(*((edge - lens.principal_point_px) / lens.focal_length_px).T).min()
+    edge_tangent = np.hypot(*((edge - lens.principal_point_px) / lens.focal_length_px).T).min()
     traced = jax.jit(jax.vmap(project, in_axes=(None, 0)))
-    for tangent, is_imaged in ((0.5 * least, True), (0.99 * least, True), (1.01 * fold, False)):
-        in_camera = 500.0 * np.pad(tangent * way, ((0, 0), (0, 1)), constant_values=1.0)
+    for tangent, is_imaged in (
+        (0.5 * edge_tangent, True),
+        (0.99 * edge_tangent, True),
+        (1.01 * fold, False),
+    ):
+        in_camera = 500.0 * np.pad(tangent * directions, ((0, 0), (0, 1)), constant_values=1.0)
         points = (in_camera - camera.cam_from_world[:, 3]) @ camera.cam_from_world[:, :3]
         for uv_px in (
             project_points(camera.pose, lens.lens, points),
@@ -108,7 +112,7 @@ def test_beyond_the_fold_every_projection_is_nan_and_inside_it_is_unchanged(lens
             assert np.isfinite(uv_px).all(axis=1).tolist() == [is_imaged] * 30
             if is_imaged:
                 np.testing.assert_allclose(uv_px, traced(camera, points), rtol=1e-12)
-        normalised = tangent * way[0]
+        normalised = tangent * directions[0]
         assert np.isfinite(lens.pixel_from_normalised(normalised)).all() == is_imaged
         ideal_px = lens.matrix[:2, :2] @ normalised + lens.matrix[:2, 2]
         assert np.isfinite(lens.distort_pixel(ideal_px)).all() == is_imaged
@@ -127,7 +131,7 @@ def test_beyond_the_radius_a_pixel_has_no_ray_and_no_place_on_the_sheet():
 
 
 def test_derivatives_inside_are_those_without_a_fold():
-    """The derivative of NaN where a condition holds is no NaN elsewhere."""
+    """NaN beyond the fold does not turn the derivatives inside it into NaN."""
     camera = Camera(TANGENTIAL, Pose(np.column_stack([np.eye(3), [0.0, 0.0, 500.0]])))
     point = np.array([20.0, -30.0, 0.0])
     by_point = jax.jacfwd(lambda p: project(camera, p))(point)
@@ -177,7 +181,7 @@ def test_a_fold_that_takes_more_than_a_third_of_the_image_makes_a_lens_unusable(
 
 
 def test_a_fold_within_half_the_shorter_side_makes_a_lens_unusable():
-    """Of a square image, it takes 21 % then."""
+    """The fold then removes 21 % of the area of a square image."""
     for k1, is_usable in ((-0.195, True), (-0.21, False)):
         lens = Intrinsics(image_size_px=(590, 590), focal_length_px=350.0, distortion=(k1,))
         assert (lens.valid_radius_px > 295.0) == is_usable

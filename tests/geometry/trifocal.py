@@ -19,7 +19,7 @@ def trifocal_tensor(
     matrix_b_px: Float[ArrayLike, "3 4"],
     matrix_c_px: Float[ArrayLike, "3 4"],
 ) -> Float[ArrayLike, "3 3 3"]:
-    """T[i, j, k] with l_a[i] = sum_jk l_b[j] l_c[k] T[i, j, k] up to scale.
+    """Trifocal tensor T: l_a[i] = sum_jk l_b[j] l_c[k] T[i, j, k] up to scale.
 
     T[i, j, k] = (-1)^i det of P_a without row i, row j of P_b, row k of P_c.
     """
@@ -36,7 +36,7 @@ def transfer_line(
     line_b: Float[ArrayLike, "3"],
     line_c: Float[ArrayLike, "3"],
 ) -> Float[ArrayLike, "3"]:
-    """The line of view a, with unit normal, that lines of views b and c predict.
+    """Line in view a, with unit normal, that is predicted by lines of views b and c.
 
     NaN where both are epipolar lines of one plane, which leave the line in space free.
     """

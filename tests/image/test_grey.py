@@ -1,4 +1,4 @@
-"""One grey conversion for all: without an order of channels, exact where numbers are whole."""
+"""The grey conversion does not depend on the order of the channels and is exact for integers."""
 
 import cv2
 import numpy as np
@@ -44,7 +44,7 @@ def test_alpha_says_nothing():
 
 
 @pytest.mark.parametrize(
-    ("image", "said"),
+    ("image", "message"),
     [
         (np.zeros((20, 20, 5)), "shape"),
         (np.zeros((8, 20)), "at least 16 px"),
@@ -52,26 +52,26 @@ def test_alpha_says_nothing():
         (np.full((20, 20), "a"), "no grey levels"),
     ],
 )
-def test_what_is_no_picture_is_refused(image, said):
-    with pytest.raises(trinoc.errors.InputError, match=said):
+def test_what_is_no_picture_is_refused(image, message):
+    with pytest.raises(trinoc.errors.InputError, match=message):
         grey_image(image)
 
 
 def with_fields(picture, moved_px):
-    """Odd rows as they are when the scene has moved along the rows."""
-    whole = picture.copy()
-    whole[1::2] = np.roll(picture, moved_px, axis=1)[1::2]
-    return whole
+    """An interlaced picture: its odd rows show the scene after a motion along the rows."""
+    interlaced = picture.copy()
+    interlaced[1::2] = np.roll(picture, moved_px, axis=1)[1::2]
+    return interlaced
 
 
 @pytest.mark.parametrize("kind", ["scene", "sheet"])
 @pytest.mark.parametrize("moved_px", [-1, 2, 8])
 def test_an_interlaced_picture_is_named_whatever_its_levels(kind, moved_px):
     picture = with_fields(demo_images(kind)["left"], moved_px)
-    for seen in (picture, picture // 2, picture.astype(np.uint16) * 16, picture / 255.0):
-        said = describe_interlacing(grey_image(seen))
-        assert said is not None
-        assert "interlaced" in said
+    for scaled in (picture, picture // 2, picture.astype(np.uint16) * 16, picture / 255.0):
+        description = describe_interlacing(grey_image(scaled))
+        assert description is not None
+        assert "interlaced" in description
 
 
 def test_a_picture_of_one_moment_is_not_called_interlaced():
@@ -90,7 +90,7 @@ def test_a_picture_of_one_moment_is_not_called_interlaced():
 
 
 def as_mosaic(picture, red, blue):
-    """RGGB of a grey scene, whose colours the sensor sees so much darker than green."""
+    """RGGB mosaic of a grey scene, with red and blue pixels darker than green by these factors."""
     raw = picture.astype(float)
     raw[::2, ::2] *= red
     raw[1::2, 1::2] *= blue
@@ -101,15 +101,15 @@ def as_mosaic(picture, red, blue):
 @pytest.mark.parametrize("kind", ["scene", "sheet"])
 def test_a_raw_mosaic_is_named_whatever_its_levels_and_first_colour(kind, red, blue):
     picture = as_mosaic(demo_images(kind)["left"], red, blue)
-    for seen in (
+    for variant in (
         picture,
         picture[1:],
         picture[:, 1:],
         picture.astype(np.uint16) * 16,
         picture / 255,
     ):
-        assert "bayer=" in (describe_mosaic(grey_image(seen)) or "")
-        assert describe_mixed_pixels(grey_image(seen)) is not None
+        assert "bayer=" in (describe_mosaic(grey_image(variant)) or "")
+        assert describe_mixed_pixels(grey_image(variant)) is not None
     colours = cv2.cvtColor(picture, cv2.COLOR_BayerRGGB2RGB)
     assert describe_mosaic(grey_image(colours)) is None
 

@@ -1,4 +1,4 @@
-"""Maps are those of OpenCV, and new pictures show what their cameras would have seen."""
+"""Maps agree with OpenCV, and the new pictures agree with the projections of their cameras."""
 
 from typing import Any
 
@@ -50,21 +50,23 @@ def test_maps_of_a_fisheye_are_those_of_opencv(alpha):
 
 
 def test_maps_of_a_rectified_rig_are_those_of_opencv():
-    whole = table1_rig()
-    rig = trinoc.Rig({name: Camera(DISTORTED_LENS, whole[name].pose) for name in ("left", "right")})
-    found = rectify(rig)
+    three_cameras = table1_rig()
+    rig = trinoc.Rig(
+        {name: Camera(DISTORTED_LENS, three_cameras[name].pose) for name in ("left", "right")}
+    )
+    rectified = rectify(rig)
     for name, camera in rig.items():
-        turn = found.rig[name].pose.rotation @ camera.pose.rotation.T
+        turn = rectified.rig[name].pose.rotation @ camera.pose.rotation.T
         theirs = OPENCV.initUndistortRectifyMap(
             *(DISTORTED_LENS.matrix, DISTORTED_LENS.distortion, turn),
-            *(found.rig[name].intrinsics.matrix, LENS.image_size_px, cv2.CV_32FC1),
+            *(rectified.rig[name].intrinsics.matrix, LENS.image_size_px, cv2.CV_32FC1),
         )
-        np.testing.assert_allclose(found.maps[name].map_x, theirs[0], atol=1e-3)
-        np.testing.assert_allclose(found.maps[name].map_y, theirs[1], atol=1e-3)
+        np.testing.assert_allclose(rectified.maps[name].map_x, theirs[0], atol=1e-3)
+        np.testing.assert_allclose(rectified.maps[name].map_y, theirs[1], atol=1e-3)
 
 
 def test_a_map_is_the_projection_of_any_lens():
-    """Skew, splines, and pictures of another size."""
+    """This holds for skew, splines, and pictures of another size."""
     model = next(iter(SPLINED.values()))
     start = model.from_parameters(np.zeros(len(model.parameter_names)))
     steps = np.random.default_rng(1).normal(scale=2e-3, size=len(start.parameters))
@@ -79,12 +81,12 @@ def test_a_map_is_the_projection_of_any_lens():
         u, v = np.array([(0, 0), (299, 0), (120, 77), (299, 199)]).T
         normalised = np.stack([u, v, np.ones(4)], axis=1) @ np.linalg.inv(ideal.matrix).T
         undistorted = (normalised @ lens.matrix.T)[:, :2]
-        places = np.stack([maps.map_x[v, u], maps.map_y[v, u]], axis=1)
-        np.testing.assert_allclose(places, distort_pixels(lens, undistorted), atol=1e-3)
+        mapped_px = np.stack([maps.map_x[v, u], maps.map_y[v, u]], axis=1)
+        np.testing.assert_allclose(mapped_px, distort_pixels(lens, undistorted), atol=1e-3)
 
 
 def test_nothing_is_shown_twice_beyond_the_fold():
-    """OpenCV's polynomial comes back into the picture there."""
+    """OpenCV's polynomial returns into the picture beyond the fold."""
     lens = trinoc.Intrinsics(
         image_size_px=(640, 480), focal_length_px=560.0, distortion=(-0.45, 0.0, 0.0, 0.0, 0.0)
     )
@@ -112,46 +114,48 @@ def test_depth_and_colours_are_kept(dtype, channels):
     picture = np.broadcast_to(
         (u + v).reshape(480, 512, *(1,) * len(channels)), (480, 512, *channels)
     )
-    found = undistort(DISTORTED_LENS, alpha=1.0)
-    made = found.maps.resample((picture / 4).astype(dtype))
-    assert (made.dtype, made.shape) == (dtype, picture.shape)
-    assert not made[~found.maps.valid].any()
-    inner = (found.maps.map_x > 2) & (found.maps.map_x < 509) & found.maps.valid
-    expected = (found.maps.map_x + found.maps.map_y) / 4
-    assert np.abs(made.reshape(480, 512, -1)[..., 0] - expected)[inner].max() < 1.1
+    undistorted = undistort(DISTORTED_LENS, alpha=1.0)
+    resampled = undistorted.maps.resample((picture / 4).astype(dtype))
+    assert (resampled.dtype, resampled.shape) == (dtype, picture.shape)
+    assert not resampled[~undistorted.maps.valid].any()
+    inner = (undistorted.maps.map_x > 2) & (undistorted.maps.map_x < 509) & undistorted.maps.valid
+    expected = (undistorted.maps.map_x + undistorted.maps.map_y) / 4
+    assert np.abs(resampled.reshape(480, 512, -1)[..., 0] - expected)[inner].max() < 1.1
 
 
 @pytest.mark.parametrize(
-    ("picture", "says"),
+    ("picture", "message"),
     [
         (np.zeros((48, 51), np.uint8), "51 x 48 px, but the lens belongs to pictures of 512 x 480"),
         (np.zeros(7, np.uint8), "Give one of that size"),
         (np.zeros((480, 512), bool), "The picture has type bool"),
     ],
 )
-def test_what_is_no_picture_of_the_lens_is_refused(picture, says):
-    with pytest.raises(InputError, match=says):
+def test_what_is_no_picture_of_the_lens_is_refused(picture, message):
+    with pytest.raises(InputError, match=message):
         undistort(LENS).maps.resample(picture)
 
 
 def test_a_camera_that_is_not_there_is_named():
-    found = undistort(table1_rig())
+    undistorted = undistort(table1_rig())
     with pytest.raises(InputError, match='no camera "top"'):
-        found.resample({"top": np.zeros((480, 512), np.uint8)})
+        undistorted.resample({"top": np.zeros((480, 512), np.uint8)})
 
 
 def seen_edges(picture: np.ndarray, rows: slice) -> np.ndarray:
-    """Vertical change along the columns, by row."""
+    """Sum of the absolute vertical grey changes in each row."""
     smooth = cv2.GaussianBlur(picture.astype(np.float64), (0, 0), 1.5)
     return np.abs(np.diff(smooth, axis=0))[rows].sum(axis=1)
 
 
 def test_rows_of_the_demo_s_pictures_correspond():
-    """How much edge each row crosses is the same in both pictures where rows are, not elsewhere."""
-    whole, pictures = table1_rig(), demo_images("sheet")
-    found = rectify(trinoc.Rig({name: whole[name] for name in ("left", "right")}), alpha=0.5)
-    made = found.resample({name: pictures[name] for name in ("left", "right")})
-    left, right = (seen_edges(made[name], slice(150, 330)) for name in ("left", "right"))
+    """The edge strength per row correlates best between both pictures at a shift of 0 rows."""
+    three_cameras, pictures = table1_rig(), demo_images("sheet")
+    rectified = rectify(
+        trinoc.Rig({name: three_cameras[name] for name in ("left", "right")}), alpha=0.5
+    )
+    resampled = rectified.resample({name: pictures[name] for name in ("left", "right")})
+    left, right = (seen_edges(resampled[name], slice(150, 330)) for name in ("left", "right"))
     best = max(
         range(-20, 21),
         key=lambda shift: np.corrcoef(left[20:-20], np.roll(right, shift)[20:-20])[0, 1],
@@ -160,12 +164,12 @@ def test_rows_of_the_demo_s_pictures_correspond():
 
 
 def test_circles_of_the_sheet_are_found_in_equal_rows():
-    whole, pictures = table1_rig(), demo_images("sheet")
-    found = rectify(trinoc.Rig({name: whole[name] for name in ("left", "right")}))
-    made = found.resample({name: pictures[name] for name in ("left", "right")})
+    three_cameras, pictures = table1_rig(), demo_images("sheet")
+    rectified = rectify(trinoc.Rig({name: three_cameras[name] for name in ("left", "right")}))
+    resampled = rectified.resample({name: pictures[name] for name in ("left", "right")})
     pattern = demo_pattern()
     centres = {}
-    for name, picture in made.items():
+    for name, picture in resampled.items():
         detection = detect_pattern(picture, pattern)
         centres[name] = np.full((len(pattern), 2), np.nan)
         centres[name][detection.circle_index] = detection.centres_px

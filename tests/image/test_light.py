@@ -1,4 +1,4 @@
-"""A picture as light: one scale, colours, noise and what is clipped."""
+"""A picture as light: one scale, colours, noise and clipped pixels."""
 
 import numpy as np
 import pytest
@@ -25,22 +25,22 @@ def test_light_and_white_are_in_255ths_whatever_the_depth(bits: int) -> None:
     full = 2**bits - 1
     levels = np.rint(np.linspace(0, full, 40 * 50)).reshape(40, 50)
     picture = levels.astype(np.uint8 if bits == 8 else np.uint16)
-    found = Light.from_picture(picture, 1.0)
-    assert found.size_px == (50, 40)
-    np.testing.assert_allclose(found.levels, levels * (255 / full), atol=1e-4)
+    light = Light.from_picture(picture, 1.0)
+    assert light.size_px == (50, 40)
+    np.testing.assert_allclose(light.levels, levels * (255 / full), atol=1e-4)
     expected = 255 * np.asarray(PowerResponse(1.0).light_of(levels / full))
-    np.testing.assert_allclose(found.light, expected, atol=1e-3)
-    assert found.light_of_white == pytest.approx(
+    np.testing.assert_allclose(light.light, expected, atol=1e-3)
+    assert light.light_of_white == pytest.approx(
         float(255 * PowerResponse(1.0).light_of(254 / 255)), rel=1e-6
     )
-    assert found.quantum == pytest.approx(255 / full)
+    assert light.quantum == pytest.approx(255 / full)
 
 
 def test_light_of_a_linear_camera_is_its_levels() -> None:
-    found = Light.from_picture(COLOUR)
-    assert found.is_linear
-    assert found.light is found.levels
-    assert found.light_of_white == found.white
+    light = Light.from_picture(COLOUR)
+    assert light.is_linear
+    assert light.light is light.levels
+    assert light.light_of_white == light.white
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.8, 3.0])
@@ -60,8 +60,8 @@ def test_noise_is_that_of_the_light_and_never_less_than_rounding(noise: float) -
 def test_clipped_pixels_and_their_neighbours() -> None:
     picture = np.full((40, 40), 100, np.uint8)
     picture[10, 20] = 255
-    found = Light.from_picture(picture)
-    assert found.find_clipped().sum() == 1
-    near = found.find_clipped(2)
-    assert near.sum() == 25
-    assert near[8:13, 18:23].all()
+    light = Light.from_picture(picture)
+    assert light.find_clipped().sum() == 1
+    near_clipped = light.find_clipped(2)
+    assert near_clipped.sum() == 25
+    assert near_clipped[8:13, 18:23].all()

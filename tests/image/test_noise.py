@@ -1,4 +1,4 @@
-"""The noise of a picture, whatever smooth light, straight edges or ink it shows."""
+"""The noise estimate does not depend on smooth light, straight edges or ink in the picture."""
 
 import numpy as np
 import pytest
@@ -21,9 +21,9 @@ def test_planes_of_light_and_edges_along_the_axes_change_nothing(across, down, s
 @pytest.mark.parametrize(("stride", "error"), [((1, 1), 0.01), ((5, 1), 0.02), ((3, 3), 0.03)])
 def test_white_noise_is_found_and_scales_with_the_picture(stride, error):
     # The median of n sizes errs by 1.17 / sqrt(n), and by more where they share pixels.
-    found = noise_sigma(NOISE, stride=stride)
-    assert found == pytest.approx(1.0, rel=error)
-    assert noise_sigma(8 * NOISE + 3, stride=stride) == pytest.approx(8 * found, rel=1e-9)
+    sigma = noise_sigma(NOISE, stride=stride)
+    assert sigma == pytest.approx(1.0, rel=error)
+    assert noise_sigma(8 * NOISE + 3, stride=stride) == pytest.approx(8 * sigma, rel=1e-9)
 
 
 @pytest.mark.parametrize("noise", [0.7, 1.3, 2.0])

@@ -1,4 +1,4 @@
-"""Laws of a camera's response: inverse, slope, ends, the known curve, and what is refused."""
+"""Laws of a camera's response: inverse, slope, ends, the known curve and the refusals."""
 
 import jax
 import numpy as np
@@ -21,7 +21,7 @@ def test_light_and_level_are_inverse_and_black_and_white_stay(bend: float) -> No
 
 @pytest.mark.parametrize("bend", BENDS)
 def test_the_slope_is_that_of_the_levels(bend: float) -> None:
-    """Below black, where levels go on along the tangent, too."""
+    """Also below black, where levels continue along the tangent."""
     response, step = PowerResponse(bend), 1e-7
     light = np.concatenate([[-0.05, -0.002, -0.0005], LIGHT])
     below, above = (response.level_of(light + k * step) for k in (-1, 1))
@@ -50,8 +50,8 @@ def test_the_named_curves_are_what_they_are_called() -> None:
 
 
 def test_a_curve_of_ones_own_is_taken_as_it_is() -> None:
-    own = PowerResponse(2.5)
-    assert find_response(own) is own
+    response = PowerResponse(2.5)
+    assert find_response(response) is response
 
 
 @pytest.mark.parametrize("response", ["sRGB", "", float("nan"), 7.0])

@@ -1,4 +1,4 @@
-"""Pixels beside a line: their places, and their levels in a linear picture."""
+"""Pixels beside a line: their coordinates, and their levels in a linear picture."""
 
 import numpy as np
 
@@ -18,13 +18,13 @@ def value(uv: np.ndarray) -> np.ndarray:
 
 
 def test_pixels_across_are_the_rows_or_columns_and_their_levels_the_pictures() -> None:
-    at = RANDOM.integers([5, 5], [55, 45], (40, 2))
+    centres = RANDOM.integers([5, 5], [55, 45], (40, 2))
     along_u = RANDOM.random(40) < 0.5
-    pixels = list_pixels_across(at, along_u, 4)
-    for one, place, by_row in zip(pixels, at, along_u, strict=True):
+    pixels = list_pixels_across(centres, along_u, 4)
+    for row, centre, by_row in zip(pixels, centres, along_u, strict=True):
         moving, still = (0, 1) if by_row else (1, 0)
-        np.testing.assert_array_equal(one[:, moving], place[moving] + np.arange(-4, 5))
-        assert (one[:, still] == place[still]).all()
+        np.testing.assert_array_equal(row[:, moving], centre[moving] + np.arange(-4, 5))
+        assert (row[:, still] == centre[still]).all()
     level, inside = take_levels(LINEAR, pixels)
     np.testing.assert_allclose(level, value(pixels), rtol=1e-6)
     assert inside.all()

@@ -1,4 +1,4 @@
-"""Scenes that many laws of the matcher's rooms share, prepared once."""
+"""Scenes that the tests of several folders of the matcher share, prepared once."""
 
 import pytest
 
@@ -23,10 +23,10 @@ def noisy() -> MadeScene:
 @pytest.fixture(scope="session")
 def clutter(noisy: MadeScene) -> ClutterModel:
     """Clutter of the noisy scene."""
-    return fit_clutter(noisy.seen.lines, noisy.seen.counts)
+    return fit_clutter(noisy.inputs.lines, noisy.inputs.counts)
 
 
 @pytest.fixture(scope="session")
 def triples(noisy: MadeScene, clutter: ClutterModel) -> Candidates:
     """Trinocular candidates of the noisy scene."""
-    return trinocular_candidates(noisy.seen.lines, (0, 1, 2), noisy.seen.counts, clutter)
+    return trinocular_candidates(noisy.inputs.lines, (0, 1, 2), noisy.inputs.counts, clutter)

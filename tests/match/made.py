@@ -1,4 +1,4 @@
-"""Small made scenes: loose lines before the rig of the method's Table 1."""
+"""Small synthetic scenes: loose lines in front of the rig of the method's Table 1."""
 
 import numpy as np
 
@@ -23,7 +23,7 @@ def rig_of(
     distortion: tuple[float, ...] | None = None,
     **poses: tuple[float, float, float, float],
 ) -> Rig:
-    """Cameras of POSES by name, and others by their own pan, tilt, swing and distance."""
+    """Rig of cameras of POSES by name, and of others by pan, tilt, swing and distance."""
     lens = Intrinsics(
         focal_length_mm=16.0,
         pixel_pitch_mm=(0.0162, 0.0134),
@@ -50,14 +50,14 @@ def loose_lines(count: int, seed: int) -> np.ndarray:
 
 
 def pictures(rig: Rig, lines_mm: np.ndarray, sigma_px: float = 0.0, seed: int = 0) -> dict:
-    """Camera names to (n, 2, 2) images of all lines, in the order of the lines."""
+    """Images of all lines (n, 2, 2) by camera name, in the order of the lines."""
     rng = np.random.default_rng(seed)
-    seen = {}
+    pictures_px = {}
     for name, matrix in zip(rig.names, rig.matrices_px, strict=True):
         image = lines_mm @ matrix[:, :3].T + matrix[:, 3]
-        seen[name] = image[..., :2] / image[..., 2:]
-        seen[name] = seen[name] + sigma_px * rng.normal(size=seen[name].shape)
-    return seen
+        pictures_px[name] = image[..., :2] / image[..., 2:]
+        pictures_px[name] = pictures_px[name] + sigma_px * rng.normal(size=pictures_px[name].shape)
+    return pictures_px
 
 
 def as_set(matches: Matches, views: tuple[str, ...]) -> set[tuple[int, ...]]:
@@ -69,7 +69,7 @@ def as_set(matches: Matches, views: tuple[str, ...]) -> set[tuple[int, ...]]:
 def sure_matches(
     sigma_share: float = 0.002, count: int = 40, views: tuple[str, ...] = ("upper", "left", "right")
 ) -> Matches:
-    """Sure lines in all views of a scene, and their sigma across as a share of its extent."""
+    """Sure matches in all views whose sigma across is this share of the scene's extent."""
     random = np.random.default_rng(count)
     lines = random.uniform(-100, 100, (count, 2, 3))
     sigma = sigma_share * scene_extent_mm(lines)

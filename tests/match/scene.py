@@ -1,4 +1,4 @@
-"""A small made scene as the matcher sees it, with the truth beside it."""
+"""A small synthetic scene with the matcher's input and the truth."""
 
 from typing import Any, NamedTuple
 
@@ -13,27 +13,27 @@ VIEWS = ("upper", "left", "right")
 
 
 class MadeScene(NamedTuple):
-    """Lines in space, their pictures in the caller's order, and the matcher's own tables.
+    """Lines in space, their pictures in the caller's order, and the matcher's input.
 
-    true : (n, v) the segment of each line in each view of `seen`.
+    true : (n, v) the segment of each line in each view of `inputs`.
     """
 
     rig: Rig
     lines_mm: np.ndarray
     pictures_px: dict[str, np.ndarray]
-    seen: MatchInput
+    inputs: MatchInput
     true: np.ndarray
 
     @property
     def table(self) -> Any:
-        """The padded tables, a SegmentTable of NumPy arrays."""
-        return jax.tree.map(np.asarray, self.seen.lines)
+        """Padded SegmentTable of NumPy arrays."""
+        return jax.tree.map(np.asarray, self.inputs.lines)
 
 
 def made_scene(
     *views: str, count: int, seed: int, noise_px: float = 0.0, sigma_px: float = 0.3
 ) -> MadeScene:
-    """Whole lines in every view, with noise, of a stated standard deviation."""
+    """Scene of lines that every view shows in full. `sigma_px` is stated, `noise_px` is true."""
     rig, lines_mm = rig_of(*views), loose_lines(count, seed)
     pictures_px = pictures(rig, lines_mm, sigma_px=noise_px, seed=seed + 1)
     return seen_by(rig, lines_mm, pictures_px, sigma_px)
@@ -42,10 +42,10 @@ def made_scene(
 def seen_by(
     rig: Rig, lines_mm: np.ndarray, pictures_px: dict[str, np.ndarray], sigma_px: float
 ) -> MadeScene:
-    """The scene of given pictures, segment k of each of line k."""
-    seen = prepare(pictures_px, rig, sigma_px)
-    true = np.stack([np.argsort(order) for order in seen.order], axis=1)
-    return MadeScene(rig, lines_mm, pictures_px, seen, true)
+    """Scene of these pictures, whose segments k show line k."""
+    inputs = prepare(pictures_px, rig, sigma_px)
+    true = np.stack([np.argsort(order) for order in inputs.order], axis=1)
+    return MadeScene(rig, lines_mm, pictures_px, inputs, true)
 
 
 def image_px(matrix_px: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
@@ -55,6 +55,6 @@ def image_px(matrix_px: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
 
 
 def place_on(ends_px: np.ndarray, points_px: np.ndarray) -> np.ndarray:
-    """Where points (..., k, 2) lie along segments (..., 2, 2), from 0 at the first end to 1."""
+    """Positions of points (..., k, 2) along segments (..., 2, 2), from 0 at the first end to 1."""
     step = (ends_px[..., 1, :] - ends_px[..., 0, :])[..., None, :]
     return ((points_px - ends_px[..., :1, :]) * step).sum(-1) / (step**2).sum(-1)

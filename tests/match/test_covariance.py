@@ -1,4 +1,4 @@
-"""Many noisy matchings scatter across the lines as their covariances say."""
+"""The scatter of many noisy matchings across the lines agrees with their covariances."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Sets of segments that do not belong to their rig are SUSPECT, and right ones are not."""
+"""Segments that do not belong to their rig are SUSPECT; segments that do are not."""
 
 import re
 from dataclasses import replace
@@ -86,18 +86,20 @@ def test_of_many_sets_of_a_rig_the_mistake_is_looked_for_once(boxes):
 
 
 def with_clutter(segments, count):
-    """The same segments among as many more of each view that are of no line."""
+    """The same segments and `count` more in each view that show no line."""
     rng, cluttered = np.random.default_rng(7), {}
-    for name, own in segments.items():
+    for name, view_segments in segments.items():
         middle, angle = rng.uniform(20, 450, (count, 1, 2)), rng.uniform(0, np.pi, count)
         half = 15 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         strays = middle + np.stack([-half, half], axis=1)
-        cluttered[name] = Segments.from_endpoints(np.concatenate([own.endpoints_px, strays]))
+        cluttered[name] = Segments.from_endpoints(
+            np.concatenate([view_segments.endpoints_px, strays])
+        )
     return cluttered
 
 
 def test_lines_that_are_next_to_certain_clear_a_cluttered_set_without_another_matching(boxes):
-    """However few of its segments they are."""
+    """This holds however small their share of the segments is."""
     cluttered = with_clutter(boxes, 400)
     frame = prepare_frame(cluttered, RIG, None)
     matches = match_segments(cluttered, RIG, verify="off")
@@ -114,14 +116,14 @@ def test_lines_that_are_next_to_certain_clear_a_cluttered_set_without_another_ma
 
 @pytest.mark.parametrize("view", range(3))
 def test_a_shift_shows_in_what_segments_miss_the_lines_of_the_other_views_by(view):
-    """Noise of any size does not show one."""
+    """Noise of any size does not seem a shift."""
     lines_mm, random = loose_lines(40, seed=3), np.random.default_rng(4)
     index = np.tile(np.arange(40)[:, None], (1, 3))
     for noise_px, shift_px, shifted in ((12.0, (0, 0), False), (0.3, (6, -4), True)):
-        seen = pictures(RIG, lines_mm, noise_px, seed=5)
+        pictures_px = pictures(RIG, lines_mm, noise_px, seed=5)
         name = RIG.names[view]
-        seen[name] = seen[name] + shift_px
-        frame = prepare_frame(seen, RIG, None)
+        pictures_px[name] = pictures_px[name] + shift_px
+        frame = prepare_frame(pictures_px, RIG, None)
         numbers = [np.argsort(order) for order in frame.order]
         rows = np.stack([number[index[:, 0]] for number in numbers], axis=1)
         rows = random.permutation(rows)
@@ -162,9 +164,13 @@ def changed(segments, scale, shift_px):
 def test_a_shifted_view_is_suspect_by_name_and_by_how_much(boxes, shift_px):
     matches = match_segments(boxes | {"left": changed(boxes["left"], 1, shift_px)}, RIG)
     assert matches.status is MatchStatus.SUSPECT
-    said = re.search(r'"left" is shifted by about \((-?\d+), (-?\d+)\) px', matches.notes[0])
-    assert said is not None
-    np.testing.assert_allclose([int(number) for number in said.groups()], shift_px, atol=1)
+    reported_shift = re.search(
+        r'"left" is shifted by about \((-?\d+), (-?\d+)\) px', matches.notes[0]
+    )
+    assert reported_shift is not None
+    np.testing.assert_allclose(
+        [int(number) for number in reported_shift.groups()], shift_px, atol=1
+    )
     assert (matches.posterior <= 0.5).all()
 
 
@@ -195,21 +201,23 @@ def test_a_shift_is_where_ends_differ_alike():
     middle, half = rng.uniform(50, 450, (80, 1, 2)), rng.uniform(-30, 30, (80, 1, 2))
     expected = np.concatenate([middle - half, middle + half], axis=1)
     shift = np.array([-21.0, 34.0])
-    seen = expected + shift + rng.normal(0, 0.3, expected.shape)
+    shifted_px = expected + shift + rng.normal(0, 0.3, expected.shape)
     # In another order, with ends the other way round, half of them gone and as many of no line.
-    seen = np.concatenate([seen[::-2, ::-1], rng.uniform(50, 450, (40, 2, 2))])
-    found = estimate_shift(expected, seen, DEFAULT.decoys)
-    assert found is not None
-    np.testing.assert_allclose(found, shift, atol=0.3)
+    shifted_px = np.concatenate([shifted_px[::-2, ::-1], rng.uniform(50, 450, (40, 2, 2))])
+    estimate = estimate_shift(expected, shifted_px, DEFAULT.decoys)
+    assert estimate is not None
+    np.testing.assert_allclose(estimate, shift, atol=0.3)
     assert estimate_shift(expected, np.zeros((0, 2, 2)), DEFAULT.decoys) is None
 
 
 def test_the_longest_segments_are_a_set_of_their_own(boxes):
     frame = prepare_frame(boxes, RIG, None)
     part = take_longest(frame, 30)
-    for whole, ends, order in zip(frame.ends_px, part.ends_px, part.order, strict=True):
-        length, kept = (np.linalg.norm(np.diff(e, axis=1)[:, 0], axis=1) for e in (whole, ends))
-        np.testing.assert_array_equal(np.sort(kept), np.sort(length)[-30:])
+    for all_ends, part_ends, order in zip(frame.ends_px, part.ends_px, part.order, strict=True):
+        length, part_length = (
+            np.linalg.norm(np.diff(e, axis=1)[:, 0], axis=1) for e in (all_ends, part_ends)
+        )
+        np.testing.assert_array_equal(np.sort(part_length), np.sort(length)[-30:])
         np.testing.assert_array_equal(order, np.arange(30))
 
 
@@ -222,12 +230,12 @@ def test_a_view_of_another_scene_is_suspect(boxes):
 
 
 def test_segments_that_are_chance_alone_are_suspect():
-    rng, found = np.random.default_rng(5), {}
+    rng, segments = np.random.default_rng(5), {}
     for view in RIG.names:
         middle, angle = rng.uniform(20, 450, (120, 1, 2)), rng.uniform(0, np.pi, 120)
         half = 8 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        found[view] = Segments.from_endpoints(middle + np.stack([-half, half], axis=1))
-    matches = match_segments(found, RIG)
+        segments[view] = Segments.from_endpoints(middle + np.stack([-half, half], axis=1))
+    matches = match_segments(segments, RIG)
     assert matches.status is MatchStatus.SUSPECT
     assert (matches.posterior < 0.9).mean() > 0.99
 
@@ -235,25 +243,27 @@ def test_segments_that_are_chance_alone_are_suspect():
 def test_a_few_tracks_that_are_next_to_certain_tell_where_chance_gives_none():
     chance = [SureTracks(4, 0), SureTracks(5, 1), SureTracks(3, 0)]
     for certain, above in ((0, False), (2, False), (10, True)):
-        found = SureTracks(11, certain)
-        assert is_above_chance(found, chance, 0.2, DEFAULT.decoys) is above
+        tracks = SureTracks(11, certain)
+        assert is_above_chance(tracks, chance, 0.2, DEFAULT.decoys) is above
     assert is_above_chance(SureTracks(60, 0), chance, 0.6, DEFAULT.decoys)
     # The same number is no more than chance where decoys have as many.
-    as_many = [each._replace(near_certain=10) for each in chance]
+    as_many = [tracks_of_decoy._replace(near_certain=10) for tracks_of_decoy in chance]
     assert not is_above_chance(SureTracks(11, 10), as_many, 0.2, DEFAULT.decoys)
 
 
 @pytest.mark.parametrize("change", [MIRRORED, UPSIDE_DOWN, TURNED])
 def test_a_view_turned_twice_is_as_it_was(boxes, change):
     frame = prepare_frame(boxes, RIG, None)
-    again = change_view(change_view(frame, 1, change), 1, change)
+    turned_twice = change_view(change_view(frame, 1, change), 1, change)
     assert (frame.ends_px[1] != change_view(frame, 1, change).ends_px[1]).any()
     for name in ("order", "ends_px", "covariance_px2", "polarity", "sides"):
-        np.testing.assert_allclose(getattr(again, name)[1], getattr(frame, name)[1], atol=1e-9)
+        np.testing.assert_allclose(
+            getattr(turned_twice, name)[1], getattr(frame, name)[1], atol=1e-9
+        )
 
 
 def test_a_turned_view_and_a_camera_turned_alike_give_the_same_lines(boxes):
-    """A picture turned about its middle has the matrix turned alike; covariance turns with it."""
+    """If picture and camera matrix are turned about the middle, the lines stay the same."""
     middle, turn = (SIZE - 1) / 2, np.eye(3)
     turn[:2, :2], turn[:2, 2] = TURNED, middle - TURNED @ middle
     matrices = {name: np.asarray(RIG[name].matrix_px) for name in RIG.names}
@@ -262,7 +272,7 @@ def test_a_turned_view_and_a_camera_turned_alike_give_the_same_lines(boxes):
     view = frame.names.index("upper")
     turned = change_view(frame, view, TURNED)
     back = np.argsort(turned.order[view])
-    seen = eqx.tree_at(
+    turned_segments = eqx.tree_at(
         lambda s: (s.endpoints_px, s.covariance_px2, s.polarity),
         boxes["upper"],
         tuple(
@@ -271,10 +281,13 @@ def test_a_turned_view_and_a_camera_turned_alike_give_the_same_lines(boxes):
         ),
     )
     other = Rig.from_matrices(matrices | {"upper": turn @ matrices["upper"]}, (512, 480))
-    plain, found = match_segments(boxes, rig), match_segments(boxes | {"upper": seen}, other)
-    np.testing.assert_array_equal(found.index, plain.index)
-    places = np.sort(found.lines_mm, axis=1), np.sort(plain.lines_mm, axis=1)
-    np.testing.assert_allclose(places[0], places[1], atol=1e-3)
+    plain, turned_matches = (
+        match_segments(boxes, rig),
+        match_segments(boxes | {"upper": turned_segments}, other),
+    )
+    np.testing.assert_array_equal(turned_matches.index, plain.index)
+    sorted_ends_mm = np.sort(turned_matches.lines_mm, axis=1), np.sort(plain.lines_mm, axis=1)
+    np.testing.assert_allclose(sorted_ends_mm[0], sorted_ends_mm[1], atol=1e-3)
 
 
 def test_the_darker_side_stays_on_the_right_where_picture_and_ends_are_both_turned():
@@ -284,25 +297,30 @@ def test_the_darker_side_stays_on_the_right_where_picture_and_ends_are_both_turn
     frame = prepare_frame(views | {"upper": dark}, RIG, None)
     view = frame.names.index("upper")
     for change in (MIRRORED, UPSIDE_DOWN, TURNED):
-        again = change_view(frame, view, change)
-        for ends_px, sign, row in zip(again.ends_px[view], again.polarity[view], again.order[view]):
-            # A place beside the segment, on the dark side before: where it goes, it is dark still.
+        changed_frame = change_view(frame, view, change)
+        for ends_px, sign, row in zip(
+            changed_frame.ends_px[view], changed_frame.polarity[view], changed_frame.order[view]
+        ):
+            # A point beside the segment on its dark side stays on the dark side.
             first, second = ends[row]
             across = np.array([-(second - first)[1], (second - first)[0]])
-            place = (first + second) / 2 + across / np.linalg.norm(across)
-            place = change @ (place - (SIZE - 1) / 2) + (SIZE - 1) / 2
-            way = ends_px[1] - ends_px[0]
-            side = way[0] * (place - ends_px[0])[1] - way[1] * (place - ends_px[0])[0]
+            dark_point = (first + second) / 2 + across / np.linalg.norm(across)
+            dark_point = change @ (dark_point - (SIZE - 1) / 2) + (SIZE - 1) / 2
+            direction = ends_px[1] - ends_px[0]
+            side = (
+                direction[0] * (dark_point - ends_px[0])[1]
+                - direction[1] * (dark_point - ends_px[0])[0]
+            )
             assert np.sign(side) == sign
 
 
 def test_the_share_in_three_views_is_of_the_view_that_shows_least() -> None:
-    """And counts a segment once, whatever its tracks, and no track that is not sure or in three."""
-    found = bench_matches(6)
+    """A segment counts once, however many tracks it has, and only in sure tracks of three views."""
+    matches = bench_matches(6)
     index = np.array([[0, 0, 0], [1, 0, 1], [2, 2, 2], [3, 3, -1], [4, 4, 4], [5, 5, 5]])
     stage = np.where((index >= 0).all(axis=1), TRINOCULAR, BINOCULAR)
     posterior = np.array([0.99, 0.99, 0.95, 0.99, 0.5, 0.89])
-    segments = {name: np.full(count, "matched") for name, count in zip(found.views, (6, 8, 10))}
-    found = replace(found, index=index, stage=stage, posterior=posterior, reasons=segments)
+    segments = {name: np.full(count, "matched") for name, count in zip(matches.views, (6, 8, 10))}
+    matches = replace(matches, index=index, stage=stage, posterior=posterior, reasons=segments)
     # Segments 0, 1, 2 of 6; 0, 2 of 8; 0, 1, 2 of 10.
-    assert found.share_in_three_views == pytest.approx(2 / 8)
+    assert matches.share_in_three_views == pytest.approx(2 / 8)

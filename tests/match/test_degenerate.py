@@ -1,4 +1,4 @@
-"""What leaves nothing to measure is named, and never yields a number that means nothing.
+"""Degenerate inputs are reported by name and never yield meaningless numbers.
 
 The cases are those of the table in docs/limits.md.
 """
@@ -21,7 +21,7 @@ COUNT = 30
 
 
 def looking(centre_mm, target_mm=(0.0, 0.0, 0.0)):
-    """A camera at a place, that looks at a place."""
+    """A camera at one point that looks at another point."""
     forward = np.subtract(target_mm, centre_mm)
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 1.0, 0.3])
@@ -54,24 +54,24 @@ def flipped(ends_px):
 
 
 def along(direction):
-    """Segments all of one direction."""
+    """Segments that all have one direction."""
     lines = loose_lines(COUNT, 3)
     step = np.multiply(direction, np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)[:, None])
     return np.stack([lines[:, 0], lines[:, 0] + step], axis=1)
 
 
 def spokes(inner_mm, outer_mm):
-    """Segments of the sheet on lines through its origin, where the epipole of "a" and "b" is."""
+    """Segments of the sheet on lines through its origin, the epipole of "a" and "b"."""
     angle = np.linspace(0, 6, 20)
     ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     return np.stack([inner_mm * ring, outer_mm * ring], axis=1)
 
 
 def matched(rig, lines_mm, noise_px=0.2):
-    return trinoc.match_segments(seen(rig, lines_mm, noise_px), rig)
+    return trinoc.match_segments(noisy_pictures(rig, lines_mm, noise_px), rig)
 
 
-def seen(rig, lines_mm, noise_px=0.2):
+def noisy_pictures(rig, lines_mm, noise_px=0.2):
     return {n: e.reshape(-1, 4) for n, e in pictures(rig, lines_mm, noise_px, seed=4).items()}
 
 
@@ -86,7 +86,7 @@ def expect_sound(matches):
 
 
 def expect_in_table(sentence):
-    """The sentence stands in the table, but for the names and numbers of this case."""
+    """The table contains the sentence, apart from names and numbers of this case."""
 
 
 ERRORS = {
@@ -95,24 +95,25 @@ ERRORS = {
         'The cameras "a" and "b" have the same centre, so they give no depth',
     ),
     "a lens that folds its picture": (
-        lambda: trinoc.match_segments(seen(IN_LINE, loose_lines(COUNT, 3)), FOLDED),
+        lambda: trinoc.match_segments(noisy_pictures(IN_LINE, loose_lines(COUNT, 3)), FOLDED),
         'The lens of the camera "b" folds the image 87 px from the principal point',
     ),
     "identical pictures": (
         lambda: trinoc.match_segments(
-            {name: seen(RIG, along([1, 0, 0]))["left"] for name in RIG}, RIG
+            {name: noisy_pictures(RIG, along([1, 0, 0]))["left"] for name in RIG}, RIG
         ),
         "have the same segments: pass those of the image that each camera took.",
     ),
     "zero length": (
         lambda: trinoc.match_segments(
-            {n: np.r_[e, [[5, 5, 5, 5]]] for n, e in seen(RIG, along([1, 0, 0])).items()}, RIG
+            {n: np.r_[e, [[5, 5, 5, 5]]] for n, e in noisy_pictures(RIG, along([1, 0, 0])).items()},
+            RIG,
         ),
         "has two equal ends (1 such segments in all). Remove them before matching.",
     ),
     "mirrored rig": (
         lambda: trinoc.match_segments(
-            {n: flipped(e) for n, e in seen(RIG, loose_lines(COUNT, 3)).items()},
+            {n: flipped(e) for n, e in noisy_pictures(RIG, loose_lines(COUNT, 3)).items()},
             mirrored(RIG.names),
         ),
         "Give the matrices of unmirrored images in a right-handed world.",
@@ -128,23 +129,27 @@ ERRORS = {
 }
 
 
-def nearly_at_one_place(apart_mm):
-    """Two cameras that stand so far apart, and a third one far off."""
-    first, second = looking((-100, 0, 400)), looking((-100 + apart_mm, 0, 400), (9, 0, 0))
+def nearly_at_one_place(distance_mm):
+    """Two cameras at this distance from each other, and a third one far away."""
+    first, second = looking((-100, 0, 400)), looking((-100 + distance_mm, 0, 400), (9, 0, 0))
     return Rig({"a": first, "b": second, "c": IN_LINE["c"]})
 
 
 @pytest.mark.parametrize("noise_px", [0.0, 0.2])
-@pytest.mark.parametrize("apart_mm", [0.1, 0.3, 20.0])
-def test_tracks_of_views_at_nearly_one_place_are_noted(apart_mm, noise_px):
-    rig, lines = nearly_at_one_place(apart_mm), loose_lines(COUNT, 3)
-    pair = {name: ends for name, ends in seen(rig, lines, noise_px).items() if name != "c"}
-    for given in (pair, seen(rig, lines, noise_px)):
-        notes = [n for n in trinoc.match_segments(given, rig).notes if "give no depth" in n]
-        assert len(notes) == (apart_mm < 1.0)
-        where = f'The cameras "a" and "b" are only {apart_mm:g} mm apart'
-        assert all(note.startswith(where) for note in notes)
-    others = {name: ends for name, ends in seen(rig, lines, noise_px).items() if name != "a"}
+@pytest.mark.parametrize("distance_mm", [0.1, 0.3, 20.0])
+def test_tracks_of_views_at_nearly_one_place_are_noted(distance_mm, noise_px):
+    rig, lines = nearly_at_one_place(distance_mm), loose_lines(COUNT, 3)
+    pair = {
+        name: ends for name, ends in noisy_pictures(rig, lines, noise_px).items() if name != "c"
+    }
+    for pictures_px in (pair, noisy_pictures(rig, lines, noise_px)):
+        notes = [n for n in trinoc.match_segments(pictures_px, rig).notes if "give no depth" in n]
+        assert len(notes) == (distance_mm < 1.0)
+        start = f'The cameras "a" and "b" are only {distance_mm:g} mm apart'
+        assert all(note.startswith(start) for note in notes)
+    others = {
+        name: ends for name, ends in noisy_pictures(rig, lines, noise_px).items() if name != "a"
+    }
     assert not any("give no depth" in note for note in trinoc.match_segments(others, rig).notes)
 
 
@@ -171,7 +176,7 @@ def test_centres_in_a_line_are_noted_and_what_lies_along_it_is_left_out():
     note = "All camera centres lie on one line"
     for matches in (across, lengthwise):
         expect_sound(matches)
-        assert any(note in said for said in matches.notes)
+        assert any(note in warning for warning in matches.notes)
     expect_in_table(note)
     assert len(lengthwise) < COUNT / 5 < len(across)
     assert (lengthwise.reasons["a"] == "along the epipolar lines").sum() > 0
@@ -191,8 +196,13 @@ def test_segments_through_an_epipole_are_sound_or_left_out(span_mm):
     expect_sound(matches)
     reasons = set(matches.reasons["a"].tolist())
     # Spokes that are much alike are a pattern.
-    known = {"matched", "matched within a pattern", "no partner in the zone", "evidence too weak"}
-    assert reasons <= known | {
+    expected_reasons = {
+        "matched",
+        "matched within a pattern",
+        "no partner in the zone",
+        "evidence too weak",
+    }
+    assert reasons <= expected_reasons | {
         word for word in reasons if word.startswith(("ambiguous", "lost", "along", "missing"))
     }
 

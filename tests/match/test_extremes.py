@@ -1,4 +1,4 @@
-"""What a picture may hold beyond lines: no segment of it takes the memory, and none makes others
+"""Pictures with other content than lines: no segment exhausts the memory, and none makes others
 sure."""
 
 import tracemalloc
@@ -32,17 +32,20 @@ MOST_BYTES = 300e6
 
 
 def stated(ends_px, sigma_px):
-    """Segments with a standard deviation across themselves of each."""
+    """Segments with these standard deviations across themselves, px."""
     sigma = np.broadcast_to(np.asarray(sigma_px, dtype=float), len(ends_px))
     covariance = np.concatenate(
-        [covariance_of_ends(ends_px[k : k + 1], own, 4 * own) for k, own in enumerate(sigma)]
+        [
+            covariance_of_ends(ends_px[k : k + 1], across_px, 4 * across_px)
+            for k, across_px in enumerate(sigma)
+        ]
     )
     segments = Segments.from_endpoints(ends_px, image_size_px=(512, 480))
     return eqx.tree_at(lambda s: s.covariance_px2, segments, covariance)
 
 
 def peak_bytes(segments):
-    """(matches, the most bytes of NumPy's arrays that stood at a time)."""
+    """(matches, peak size of NumPy's arrays, bytes)."""
     tracemalloc.start()
     matches = match_segments(segments, RIG)
     _, peak = tracemalloc.get_traced_memory()
@@ -59,21 +62,21 @@ def test_segments_that_say_nothing_change_no_other_match():
         plain[view] = stated(ends, 0.3)
         every = np.concatenate([ends, ends[:20] + shift, ends[:5]])
         more[view] = stated(every, np.concatenate([np.full(40, 0.3), sigma, np.full(5, 0.3)]))
-    alone, (found, peak) = match_segments(plain, RIG), peak_bytes(more)
-    np.testing.assert_array_equal(found.index, alone.index)
+    alone, (with_vague, peak) = match_segments(plain, RIG), peak_bytes(more)
+    np.testing.assert_array_equal(with_vague.index, alone.index)
     # Which end is first follows from which view has the most segments.
-    places = (np.sort(each.lines_mm, axis=1) for each in (found, alone))
-    np.testing.assert_allclose(*places, rtol=0, atol=1e-4)
-    np.testing.assert_allclose(found.posterior, alone.posterior, atol=1e-6)
+    sorted_lines_mm = (np.sort(matches.lines_mm, axis=1) for matches in (with_vague, alone))
+    np.testing.assert_allclose(*sorted_lines_mm, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(with_vague.posterior, alone.posterior, atol=1e-6)
     for view in VIEWS:
-        assert set(found.reasons[view][40:60]) == {POSITION_UNKNOWN}
-        assert set(found.reasons[view][60:]) == {DUPLICATE}
-    assert found.counts[f"segments {POSITION_UNKNOWN}"] == 60
+        assert set(with_vague.reasons[view][40:60]) == {POSITION_UNKNOWN}
+        assert set(with_vague.reasons[view][60:]) == {DUPLICATE}
+    assert with_vague.counts[f"segments {POSITION_UNKNOWN}"] == 60
     assert peak < MOST_BYTES
 
 
 def test_copies_that_differ_by_less_than_their_sigmas_make_nothing_sure():
-    """Each of 20 segments may belong to each: no posterior may say which, whatever memory bears."""
+    """Any of 20 segments may belong to any other: no posterior prefers one, whatever the memory."""
     line = np.array([[[-60.0, -20.0, 5.0], [60.0, 30.0, 5.0]]])
     rng, segments = np.random.default_rng(1), {}
     for view, ends in pictures(RIG, line).items():
@@ -100,9 +103,11 @@ def test_of_equal_segments_the_first_is_left(count, others, seed):
     rng = np.random.default_rng(seed)
     one = rng.uniform(0, 400, (1, 2, 2))
     equal = one + 1e-3 * rng.uniform(-1, 1, (count, 2, 2))
-    apart = one + 20 + 10 * np.arange(others)[:, None, None]
+    different = one + 20 + 10 * np.arange(others)[:, None, None]
     rows = first_of_duplicates(
-        np.concatenate([equal, apart]), np.full(count + others, 0.3), np.ones(count + others, int)
+        np.concatenate([equal, different]),
+        np.full(count + others, 0.3),
+        np.ones(count + others, int),
     )
     assert rows.tolist() == [0, *range(count, count + others)]
 
@@ -134,12 +139,14 @@ def test_a_share_gives_the_posterior_of_all_to_the_kept():
     """Candidates of one segment of each view exclude each other: p = odds / (1 + sum of odds)."""
     rng = np.random.default_rng(2)
     log_odds, index = rng.normal(0, 4, 30), np.zeros((30, 3), dtype=np.int64)
-    kept = np.flatnonzero(rng.random(30) < 0.4)
+    rows = np.flatnonzero(rng.random(30) < 0.4)
     odds = np.exp(log_odds)
-    alone = odds[kept] / (1 + odds[kept].sum())
-    share = log_kept_share(log_odds, index, kept)
-    found = with_log_share(np.log(alone) - np.log1p(-alone), share)
-    np.testing.assert_allclose(1 / (1 + np.exp(-found)), odds[kept] / (1 + odds.sum()), rtol=1e-9)
+    alone = odds[rows] / (1 + odds[rows].sum())
+    share = log_kept_share(log_odds, index, rows)
+    shared_log_odds = with_log_share(np.log(alone) - np.log1p(-alone), share)
+    np.testing.assert_allclose(
+        1 / (1 + np.exp(-shared_log_odds)), odds[rows] / (1 + odds.sum()), rtol=1e-9
+    )
 
 
 def test_what_is_kept_has_no_more_conflicts_than_memory_bears():
@@ -147,25 +154,25 @@ def test_what_is_kept_has_no_more_conflicts_than_memory_bears():
     index = rng.integers(0, 12, (400, 3))
     # Many are equally likely.
     log_odds = np.round(rng.normal(0, 2, 400))
-    for most in (0, 10, 3000, 10**6):
-        rules = SelectionTuning(max_conflicts=most)
-        kept = rows_within_memory(log_odds, index, -np.inf, rules)
-        interval = np.tile([0.0, 1.0], (len(kept), 3, 1))
-        assert len(conflict_graph(index[kept], interval).slot) <= most
-        assert log_odds[kept].min(initial=np.inf) > np.delete(log_odds, kept).max(initial=-np.inf)
+    for max_conflicts in (0, 10, 3000, 10**6):
+        rules = SelectionTuning(max_conflicts=max_conflicts)
+        rows = rows_within_memory(log_odds, index, -np.inf, rules)
+        interval = np.tile([0.0, 1.0], (len(rows), 3, 1))
+        assert len(conflict_graph(index[rows], interval).slot) <= max_conflicts
+        assert log_odds[rows].min(initial=np.inf) > np.delete(log_odds, rows).max(initial=-np.inf)
 
 
 def test_meetings_are_counted_before_they_are_listed():
     rng = np.random.default_rng(4)
     ends, log_odds = rng.uniform(0, 10, (200, 3)), rng.normal(size=100)
-    apart = np.linalg.norm(ends[:, None] - ends, axis=-1) <= 2
-    every = {tuple(pair) for pair in np.argwhere(np.triu(apart, 1))}
+    is_near = np.linalg.norm(ends[:, None] - ends, axis=-1) <= 2
+    every = {tuple(pair) for pair in np.argwhere(np.triu(is_near, 1))}
     assert {tuple(pair) for pair in _pairs_of_near_ends(ends, log_odds, 2.0, 10**6)} == every
     few = _pairs_of_near_ends(ends, log_odds, 2.0, 100)
     assert 0 < len(few) <= 100
     assert {tuple(pair) for pair in few} <= every
-    own = np.unique(few // 2)
-    assert log_odds[own].min() > np.median(log_odds)
+    lines = np.unique(few // 2)
+    assert log_odds[lines].min() > np.median(log_odds)
 
 
 @pytest.mark.parametrize("view", VIEWS)

@@ -1,4 +1,4 @@
-"""The matcher's kernels: without a way back to the host, and the same in NumPy."""
+"""The matcher's kernels contain no call to the host and give the same results in NumPy."""
 
 import importlib
 from typing import Any
@@ -27,34 +27,34 @@ COUNT = 20
 
 @pytest.fixture
 def calls(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[Any, tuple, dict]]:
-    """Each kernel with its last arguments, as they come."""
-    seen = {}
+    """Kernel and arguments of the last call of each kernel, by name."""
+    last_calls = {}
     for room, names in KERNELS.items():
         module = importlib.import_module(f"trinoc.match.{room}")
         for name in names:
             kernel = getattr(module, name)
 
             def recorded(*args, kernel=kernel, key=f"{room}.{name}", **kwargs):
-                seen[key] = kernel, args, kwargs
+                last_calls[key] = kernel, args, kwargs
                 return kernel(*args, **kwargs)
 
             monkeypatch.setattr(module, name, recorded)
-    return seen
+    return last_calls
 
 
 def doubled(seed: int) -> dict:
-    """Pictures of lines with a second segment beside each, so that there are rivals."""
+    """Pictures of lines with a second segment, a rival, beside each."""
     lines_mm = loose_lines(COUNT // 2, seed)
-    given = pictures(rig_of("upper", "left", "right"), lines_mm, sigma_px=0.3, seed=seed)
-    return {name: np.concatenate([ends, ends + 0.7]) for name, ends in given.items()}
+    pictures_px = pictures(rig_of("upper", "left", "right"), lines_mm, sigma_px=0.3, seed=seed)
+    return {name: np.concatenate([ends, ends + 0.7]) for name, ends in pictures_px.items()}
 
 
 @pytest.mark.parametrize("frames", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_no_kernel_calls_the_host_on_a_gpu(calls, frames: int) -> None:
     rig = rig_of("upper", "left", "right")
-    given = [doubled(seed) for seed in range(frames)]
-    found = match_many(given, rig)
-    assert (found.status == "ok").all()
+    frames_px = [doubled(seed) for seed in range(frames)]
+    batch = match_many(frames_px, rig)
+    assert (batch.status == "ok").all()
     assert set(calls) == {f"{room}.{name}" for room, names in KERNELS.items() for name in names}
     for name, (kernel, args, kwargs) in calls.items():
         with jax.enable_x64(True):
@@ -71,16 +71,16 @@ def test_few_candidates_are_judged_in_numpy_as_many_are_by_programs(
 ) -> None:
     # A tuning of its own, for which nothing is compiled yet.
     tuning = with_field(DEFAULT, "candidates.gate_slack", 1.12)
-    given, rig = doubled(5), rig_of("upper", "left", "right")
+    pictures_px, rig = doubled(5), rig_of("upper", "left", "right")
     monkeypatch.setattr(programs, "_stores", [None])
 
     def match() -> tuple[Matches, set[str]]:
         caplog.clear()
         with jax.log_compiles(), caplog.at_level("WARNING"):
-            found = match_segments(given, rig, tuning=tuning)
+            matches = match_segments(pictures_px, rig, tuning=tuning)
         messages = " ".join(r.getMessage() for r in caplog.records)
         judges = {"_fit_triples", "_triple_evidence", "_pair_evidence"}
-        return found, {name for name in judges if name in messages}
+        return matches, {name for name in judges if name in messages}
 
     few, compiled = match()
     assert compiled == set()

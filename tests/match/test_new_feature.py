@@ -1,4 +1,4 @@
-"""A kind of feature of one class and one line of the registry reaches files, exports and cards."""
+"""A new kind of feature (one class, one line in the registry) reaches files, exports and cards."""
 
 from collections.abc import Mapping
 from typing import Annotated, ClassVar
@@ -18,7 +18,7 @@ from trinoc.report.notebook.tables import list_columns
 
 
 class Ellipses(Feature):
-    """Ellipses by their centre and two half axes."""
+    """Ellipses, each by its centre and two half axes."""
 
     KIND: ClassVar[str] = "ellipses"
     IN_WORDS: ClassVar[str] = "ellipses"
@@ -30,10 +30,10 @@ class Ellipses(Feature):
     posterior: Annotated[Float[np.ndarray, "c"], Column(PROBABILITY)]
 
     def wires(self) -> Wires:
-        """Each as a closed line of 24 pieces."""
+        """Wires of the ellipses, each a closed line of 24 pieces."""
         angle = np.linspace(0, 2 * np.pi, 25)
-        way = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ self.half_axes_mm
-        return wires_of_lines([[line] for line in self.centre_mm[:, None] + way])
+        offset = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ self.half_axes_mm
+        return wires_of_lines([[line] for line in self.centre_mm[:, None] + offset])
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""What is promised to be bit-identical is: repeats, threads, number types, JAX's settings."""
+"""Results are bit-identical across repeats, threads, number types and JAX's settings."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -13,7 +13,7 @@ RIG = rig_of("upper", "right", "left")
 
 
 @pytest.fixture(scope="module")
-def seen():
+def pictures_px():
     return {n: e.reshape(-1, 4) for n, e in pictures(RIG, loose_lines(30, 3), 0.3, seed=4).items()}
 
 
@@ -23,31 +23,31 @@ def bytes_of(value):
     return [(a.dtype.str, a.shape, a.tobytes()) for a in arrays]
 
 
-def test_a_match_is_the_same_again_and_in_threads(seen):
-    once = bytes_of(trinoc.match_segments(seen, RIG))
-    assert bytes_of(trinoc.match_segments(seen, RIG)) == once
+def test_a_match_is_the_same_again_and_in_threads(pictures_px):
+    once = bytes_of(trinoc.match_segments(pictures_px, RIG))
+    assert bytes_of(trinoc.match_segments(pictures_px, RIG)) == once
     with ThreadPoolExecutor(3) as pool:
-        others = [pool.submit(trinoc.match_segments, seen, RIG) for _ in range(6)]
+        others = [pool.submit(trinoc.match_segments, pictures_px, RIG) for _ in range(6)]
     assert all(bytes_of(other.result()) == once for other in others)
 
 
-def test_a_match_does_not_depend_on_the_caller_s_precision(seen):
-    once = bytes_of(trinoc.match_segments(seen, RIG))
+def test_a_match_does_not_depend_on_the_caller_s_precision(pictures_px):
+    once = bytes_of(trinoc.match_segments(pictures_px, RIG))
     with jax.enable_x64(False):
-        assert bytes_of(trinoc.match_segments(seen, RIG)) == once
+        assert bytes_of(trinoc.match_segments(pictures_px, RIG)) == once
 
 
-def test_ends_in_single_precision_are_those_numbers_in_double(seen):
-    single = {name: ends.astype(np.float32) for name, ends in seen.items()}
+def test_ends_in_single_precision_are_those_numbers_in_double(pictures_px):
+    single = {name: ends.astype(np.float32) for name, ends in pictures_px.items()}
     double = {name: ends.astype(np.float64) for name, ends in single.items()}
-    found = trinoc.match_segments(double, RIG)
-    assert bytes_of(trinoc.match_segments(single, RIG)) == bytes_of(found)
+    rounded = trinoc.match_segments(double, RIG)
+    assert bytes_of(trinoc.match_segments(single, RIG)) == bytes_of(rounded)
     # Rounding ends to single precision moves them by 2^-24 of 512 px at most, and lines with them.
-    exact = trinoc.match_segments(seen, RIG)
-    assert max(np.abs(double[n] - seen[n]).max() for n in seen) <= 512 * 2.0**-24
-    np.testing.assert_array_equal(found.index, exact.index)
+    exact = trinoc.match_segments(pictures_px, RIG)
+    assert max(np.abs(double[n] - pictures_px[n]).max() for n in pictures_px) <= 512 * 2.0**-24
+    np.testing.assert_array_equal(rounded.index, exact.index)
     sigma_mm = np.sqrt(np.diagonal(exact.covariance_mm2, axis1=1, axis2=2))
-    moved = np.abs(found.lines_mm - exact.lines_mm).reshape(-1, 6)
+    moved = np.abs(rounded.lines_mm - exact.lines_mm).reshape(-1, 6)
     assert (moved < 1e-3 * sigma_mm).all()
 
 

@@ -1,4 +1,4 @@
-"""What a sample tells of large pictures takes no line away: as in the search of everything."""
+"""The search guided by a sample finds the same lines as the exhaustive search."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ RIG = rig_of(*VIEWS)
 
 
 def scouting(tuning: MatchTuning = DEFAULT) -> MatchTuning:
-    """As in large pictures, for pictures of a hundred segments."""
+    """Tuning that applies the scouting of large pictures to pictures of a hundred segments."""
     for name, value in {"min_segments": 0, "sample_size": 50, "min_sure_triples": 10}.items():
         tuning = with_field(tuning, f"scouting.{name}", value)
     return tuning
@@ -38,37 +38,42 @@ def lines_mm() -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def seen(lines_mm: np.ndarray) -> dict:
+def pictures_px(lines_mm: np.ndarray) -> dict:
     return pictures(RIG, lines_mm, sigma_px=0.3, seed=6)
 
 
-def test_tracks_are_those_of_the_search_of_everything(seen: dict) -> None:
-    exhaustive, scouted = match_segments(seen, RIG), match_segments(seen, RIG, tuning=scouting())
+def test_tracks_are_those_of_the_search_of_everything(pictures_px: dict) -> None:
+    exhaustive, scouted = (
+        match_segments(pictures_px, RIG),
+        match_segments(pictures_px, RIG, tuning=scouting()),
+    )
     assert as_set(scouted, VIEWS) == as_set(exhaustive, VIEWS)
     assert len(scouted) >= 100
 
 
-def test_lines_outside_the_box_are_found(seen: dict, lines_mm: np.ndarray) -> None:
+def test_lines_outside_the_box_are_found(pictures_px: dict, lines_mm: np.ndarray) -> None:
     narrow = with_field(
         with_field(scouting(), "scouting.trimmed_share", 0.05), "scouting.margin", 0.0
     )
     outside = ~inside(bound_region(lines_mm, narrow.scouting), lines_mm)
     assert outside.sum() > 20
     assert outside[-3:].all()
-    found = as_set(match_segments(seen, RIG, tuning=narrow), VIEWS)
-    assert found == as_set(match_segments(seen, RIG), VIEWS)
-    assert found >= {(n, n, n) for n in range(len(lines_mm) - 3, len(lines_mm))}
+    tracks = as_set(match_segments(pictures_px, RIG, tuning=narrow), VIEWS)
+    assert tracks == as_set(match_segments(pictures_px, RIG), VIEWS)
+    assert tracks >= {(n, n, n) for n in range(len(lines_mm) - 3, len(lines_mm))}
 
 
-def test_the_order_of_views_changes_nothing(seen: dict) -> None:
-    turned = {name: seen[name] for name in reversed(VIEWS)}
-    one, other = (match_segments(given, RIG, tuning=scouting()) for given in (seen, turned))
+def test_the_order_of_views_changes_nothing(pictures_px: dict) -> None:
+    turned = {name: pictures_px[name] for name in reversed(VIEWS)}
+    one, other = (
+        match_segments(ordered, RIG, tuning=scouting()) for ordered in (pictures_px, turned)
+    )
     assert as_set(one, VIEWS) == as_set(other, VIEWS)
 
 
-def test_too_few_sure_lines_search_everything(seen: dict) -> None:
+def test_too_few_sure_lines_search_everything(pictures_px: dict) -> None:
     few = with_field(scouting(), "scouting.min_sure_triples", 1000)
-    one, other = match_segments(seen, RIG, tuning=few), match_segments(seen, RIG)
+    one, other = match_segments(pictures_px, RIG, tuning=few), match_segments(pictures_px, RIG)
     np.testing.assert_array_equal(one.posterior, other.posterior)
 
 
@@ -80,7 +85,7 @@ def test_the_box_holds_its_lines_wherever_the_world_begins() -> None:
 
 
 def test_the_box_of_a_flat_scene_holds_what_lies_little_off_its_plane() -> None:
-    """The lines of the sample may all lie exactly in the plane."""
+    """The box keeps a thickness even if all lines of the sample lie exactly in the plane."""
     flat = loose_lines(200, seed=7)
     flat[..., 2] = 0.2 * flat[..., 0]
     normal = np.array([-0.2, 0.0, 1.0]) / np.hypot(1.0, 0.2)
@@ -94,51 +99,53 @@ def test_the_box_of_a_flat_scene_holds_what_lies_little_off_its_plane() -> None:
 @in_float64
 @pytest.mark.parametrize("sample", [20, 30])
 def test_the_number_of_lines_does_not_depend_on_the_size_of_the_sample(
-    seen: dict, sample: int
+    pictures_px: dict, sample: int
 ) -> None:
     """All 110 lines are in every view: the search expects about as many, within the error of a
     count of 30."""
-    given = prepare(seen, RIG, None)
-    clutter = fit_clutter(given.lines, given.counts)
+    inputs = prepare(pictures_px, RIG, None)
+    clutter = fit_clutter(inputs.lines, inputs.counts)
     tuning = with_field(scouting(), "scouting.sample_size", sample)
     rows = tuple(_evenly_spaced(110, sample) for _ in VIEWS)
     every = tuple(np.arange(110) for _ in VIEWS)
-    found = search_candidates(orders_of(seen), tuning, rows=(rows, every))
-    learned = _learn_prior(found, 110.0, clutter, tuning)
+    sample_candidates = search_candidates(orders_of(pictures_px), tuning, rows=(rows, every))
+    learned = _learn_prior(sample_candidates, 110.0, clutter, tuning)
     assert learned is not None
     assert np.exp(float(learned.mixture.log_count)) == pytest.approx(110, rel=0.4)
 
 
 @in_float64
-def test_the_search_within_a_box_finds_what_has_its_common_part_there(seen: dict) -> None:
-    orders = orders_of(seen)
-    every = search_candidates(orders)
+def test_the_search_within_a_box_finds_what_has_its_common_part_there(pictures_px: dict) -> None:
+    orders = orders_of(pictures_px)
+    everywhere = search_candidates(orders)
     # A box whose walls are far from all ends, so that the fit to three views crosses none.
     region = Region(np.eye(3), np.array([-200.0, -200.0, -50.0]), np.array([200.0, 200.0, 100.0]))
-    learned = SearchPrior(region, prior_parameters(every.ends_mm, 110.0), -np.inf)
-    found = search_candidates(orders, prior=learned)
-    assert {tuple(row) for row in found.index} <= {tuple(row) for row in every.index}
+    learned = SearchPrior(region, prior_parameters(everywhere.ends_mm, 110.0), -np.inf)
+    in_box = search_candidates(orders, prior=learned)
+    assert {tuple(row) for row in in_box.index} <= {tuple(row) for row in everywhere.index}
     true = {(n, n, n) for n in range(107)}
-    numbers = np.stack([order[found.index[:, v]] for v, order in enumerate(orders_seen(seen))], 1)
+    numbers = np.stack(
+        [order[in_box.index[:, v]] for v, order in enumerate(orders_seen(pictures_px))], 1
+    )
     assert true <= {tuple(row) for row in numbers.tolist()}
 
 
 @in_float64
-def test_what_is_dropped_at_sight_is_unlikely(seen: dict) -> None:
-    orders = orders_of(seen)
-    every = search_candidates(orders)
-    mixture = prior_parameters(every.ends_mm, 110.0)
+def test_what_is_dropped_at_sight_is_unlikely(pictures_px: dict) -> None:
+    orders = orders_of(pictures_px)
+    all_candidates = search_candidates(orders)
+    mixture = prior_parameters(all_candidates.ends_mm, 110.0)
     anywhere = mixture._replace(volume=mixture.volume._replace(precision=np.zeros((3, 3))))
-    odds = prior_log_odds(every, anywhere)
+    odds = prior_log_odds(all_candidates, anywhere)
     slack = DEFAULT.scouting.slack_log_odds
-    for least in (-5.0, 0.0, 5.0):
-        found = search_candidates(orders, prior=SearchPrior(None, mixture, least))
-        likely = every.index[odds > least + slack]
-        kept = {tuple(row) for row in found.index.tolist()}
-        missing = {tuple(row) for row in likely.tolist()} - kept
+    for min_log_odds in (-5.0, 0.0, 5.0):
+        candidates = search_candidates(orders, prior=SearchPrior(None, mixture, min_log_odds))
+        likely = all_candidates.index[odds > min_log_odds + slack]
+        found_tracks = {tuple(row) for row in candidates.index.tolist()}
+        missing = {tuple(row) for row in likely.tolist()} - found_tracks
         assert len(likely) > 100
         assert len(missing) <= 0.01 * len(likely)
-        assert (prior_log_odds(found, anywhere) > least - slack).mean() > 0.95
+        assert (prior_log_odds(candidates, anywhere) > min_log_odds - slack).mean() > 0.95
 
 
 def middles(lines_mm: np.ndarray) -> np.ndarray:
@@ -147,18 +154,18 @@ def middles(lines_mm: np.ndarray) -> np.ndarray:
 
 
 def inside(region: Region, lines_mm: np.ndarray) -> np.ndarray:
-    """Whether both ends of each line lie in a box."""
-    place = lines_mm @ region.axes.T
-    return np.all((place > region.low_mm) & (place < region.high_mm), axis=(1, 2))
+    """True for each line with both ends in the box."""
+    coordinates = lines_mm @ region.axes.T
+    return np.all((coordinates > region.low_mm) & (coordinates < region.high_mm), axis=(1, 2))
 
 
-def orders_seen(seen: dict) -> list[np.ndarray]:
-    """Of each of the matcher's views, the number of the line that each segment shows."""
-    return list(prepare(seen, RIG, None).order)
+def orders_seen(pictures_px: dict) -> list[np.ndarray]:
+    """For each of the matcher's views, the line number of each segment."""
+    return list(prepare(pictures_px, RIG, None).order)
 
 
-def orders_of(seen: dict):
-    """The three views, ready to be searched."""
-    given = prepare(seen, RIG, None)
-    clutter = fit_clutter(given.lines, given.counts)
-    return prepare_orders(given.lines, (0, 1, 2), given.counts, clutter)
+def orders_of(pictures_px: dict):
+    """The three views, prepared for the search."""
+    inputs = prepare(pictures_px, RIG, None)
+    clutter = fit_clutter(inputs.lines, inputs.counts)
+    return prepare_orders(inputs.lines, (0, 1, 2), inputs.counts, clutter)

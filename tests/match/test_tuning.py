@@ -1,4 +1,4 @@
-"""The tuned constants of the matcher: one value, handed down to every step."""
+"""The tuned constants of the matcher: one value, passed to every step."""
 
 import dataclasses
 import importlib
@@ -26,8 +26,8 @@ def scene():
 
 
 def test_the_default_is_what_no_argument_means(scene):
-    plain, given = match_segments(*scene), match_segments(*scene, tuning=MatchTuning())
-    for one, other in zip(jax.tree.leaves(plain), jax.tree.leaves(given), strict=True):
+    plain, with_default = match_segments(*scene), match_segments(*scene, tuning=MatchTuning())
+    for one, other in zip(jax.tree.leaves(plain), jax.tree.leaves(with_default), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
@@ -63,9 +63,9 @@ def test_every_step_is_handed_the_tuning_and_falls_back_on_no_default(scene, mon
     groups = {id(group) for group in (DEFAULT, *vars(DEFAULT).values())}
     without = []
     for name, function in functions_of_the_matcher():
-        kept, by_name = function.__defaults__ or (), function.__kwdefaults__ or {}
-        if groups & {id(value) for value in (*kept, *by_name.values())}:
-            poisoned = tuple(None if id(value) in groups else value for value in kept)
+        defaults, by_name = function.__defaults__ or (), function.__kwdefaults__ or {}
+        if groups & {id(value) for value in (*defaults, *by_name.values())}:
+            poisoned = tuple(None if id(value) in groups else value for value in defaults)
             monkeypatch.setattr(function, "__defaults__", poisoned)
             poisoned = {k: None if id(v) in groups else v for k, v in by_name.items()}
             monkeypatch.setattr(function, "__kwdefaults__", poisoned)

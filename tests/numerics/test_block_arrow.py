@@ -1,4 +1,4 @@
-"""Eliminating the blocks of an arrow solves the same equations as no elimination."""
+"""Elimination of the blocks of an arrow matrix solves the same equations as a dense solver."""
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ SHAPES = [(0, 1, 9, 6), (3, 40, 18, 4)]
 
 
 def dense_jacobian(by_head: np.ndarray, by_block: np.ndarray) -> np.ndarray:
-    """(k ROWS, q + k w) over all unknowns, the head's first."""
+    """Dense Jacobian of all unknowns, the head's first, (k ROWS, q + k w)."""
     count, rows, width = by_block.shape
     size = by_head.shape[2]
     dense = np.zeros((count, rows, size + width * count))
@@ -30,7 +30,7 @@ def jacobians(seed: int, count: int, size: int, width: int) -> tuple[np.ndarray,
 
 
 def arrow_of(by_head: np.ndarray, by_block: np.ndarray) -> BlockArrow:
-    """J^T J."""
+    """Arrow of the normal matrix J^T J."""
     return BlockArrow(
         np.einsum("knq,knr->qr", by_head, by_head),
         np.einsum("knq,knw->kqw", by_head, by_block),

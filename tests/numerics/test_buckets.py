@@ -1,4 +1,4 @@
-"""Lengths are rounded up, to few of them, and in finer steps where padding is work."""
+"""Lengths are rounded up to few values, in finer steps where padding costs time."""
 
 import numpy as np
 from hypothesis import given, strategies as st

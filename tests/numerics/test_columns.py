@@ -1,4 +1,4 @@
-"""Columns: what comes back is what went in, block by block."""
+"""Columns return the selected rows unchanged and in order, block by block."""
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ from trinoc.numerics.buckets import as_columns, select_in_blocks, split_columns
 
 
 @jax.jit
-def judged(rows):
+def select_rows(rows):
     value = rows.astype(np.float32)
     tree = {"sum": value.sum(axis=1), "each": (value[:, 0], 2.0 * value[:, 1])}
     return rows[:, 0] % 3 != 0, as_columns((tree["each"], tree["sum"]))
@@ -18,11 +18,11 @@ def judged(rows):
 @pytest.mark.parametrize("count", [0, 1, 4, 5, 11])
 def test_only_the_possible_come_back_in_their_order(count: int) -> None:
     rows = np.arange(2 * count, dtype=np.int32).reshape(count, 2)
-    keep, columns = select_in_blocks(judged, 4, rows)
+    keep, columns = select_in_blocks(select_rows, 4, rows)
     expected = rows[rows[:, 0] % 3 != 0]
     np.testing.assert_array_equal(rows[keep], expected)
-    each, total = split_columns(columns, ((2,), ()))
-    np.testing.assert_array_equal(each, expected * np.array([1.0, 2.0]))
+    scaled, total = split_columns(columns, ((2,), ()))
+    np.testing.assert_array_equal(scaled, expected * np.array([1.0, 2.0]))
     np.testing.assert_array_equal(total, expected.sum(axis=1))
 
 

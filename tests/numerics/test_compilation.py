@@ -1,4 +1,4 @@
-"""Threads that want one program have it compiled once."""
+"""Threads that need the same program compile it once."""
 
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier

@@ -1,4 +1,4 @@
-"""A fork after JAX has computed is said in one sentence; one before it goes on."""
+"""A fork after JAX has computed is reported in one sentence; a fork before works."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""Sums and medians by group are those of each group alone."""
+"""Sums and medians by group equal those of each group alone."""
 
 import hypothesis.strategies as st
 import numpy as np
@@ -21,9 +21,9 @@ def test_each_group_has_its_own_sum_and_median(rows: list[tuple[int, float]]) ->
     pairs = np.stack([values, values**2], axis=1)
     sums, medians = group_sums(pairs, group, 6), group_medians(values, group, 6)
     for label in range(6):
-        own = group == label
-        np.testing.assert_allclose(sums[label], pairs[own].sum(axis=0), atol=1e-6)
-        expected = np.median(values[own]) if own.any() else np.nan
+        in_group = group == label
+        np.testing.assert_allclose(sums[label], pairs[in_group].sum(axis=0), atol=1e-6)
+        expected = np.median(values[in_group]) if in_group.any() else np.nan
         np.testing.assert_allclose(medians[label], expected)
 
 

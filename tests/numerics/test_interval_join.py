@@ -1,4 +1,4 @@
-"""The index work: joins and tables find what comparing all with all finds."""
+"""Index work: joins and tables return the same pairs as a comparison of all with all."""
 
 import hypothesis.strategies as st
 import jax
@@ -61,9 +61,9 @@ def test_ranges_expand_with_their_owners() -> None:
 def test_the_table_holds_every_segment_near_a_point_and_a_direction(seed: int) -> None:
     rng = np.random.default_rng(seed)
     ends = rng.uniform(0, 200, (30, 2, 2))
-    own_rad, sigma_px = np.full(30, 0.05), 1.0
+    slack_rad, sigma_px = np.full(30, 0.05), 1.0
     margins = np.array([[4.0 * layer.sigmas] for layer in LAYERS]) * np.ones(30)
-    table = spatial_index(ends, own_rad, margins, np.array([200.0, 200.0]), 7.0, sigma_px)
+    table = spatial_index(ends, slack_rad, margins, np.array([200.0, 200.0]), 7.0, sigma_px)
     share = rng.random(30)
     direction = np.diff(ends, axis=1)[:, 0]
     angle = np.arctan2(direction[:, 1], direction[:, 0])
@@ -71,19 +71,19 @@ def test_the_table_holds_every_segment_near_a_point_and_a_direction(seed: int) -
     on = ends[:, 0] + share[:, None] * direction
     # Queries that know place and direction well or badly, and are as wrong as they say.
     layer = rng.integers(0, len(LAYERS), 30)
-    known_rad = 0.99 * np.array([one.slack_rad for one in LAYERS])[layer]
-    known_px = 0.99 * np.array([one.sigmas for one in LAYERS])[layer]
-    point = on + rng.uniform(-4, 4, (30, 1)) * known_px[:, None] * normal
+    uncertainty_rad = 0.99 * np.array([one.slack_rad for one in LAYERS])[layer]
+    uncertainty_px = 0.99 * np.array([one.sigmas for one in LAYERS])[layer]
+    point = on + rng.uniform(-4, 4, (30, 1)) * uncertainty_px[:, None] * normal
     point = np.clip(point, 0.0, 199.9)
-    asked = angle + rng.uniform(-1, 1, 30) * (known_rad + 0.05)
-    direction = np.cos(asked), np.sin(asked)
-    keys = jax.vmap(lambda p, *known: search_keys(table.grid, [(p[0], p[1])], *known)[0])(
-        point, direction, known_rad, known_px
-    )
+    query_angle = angle + rng.uniform(-1, 1, 30) * (uncertainty_rad + 0.05)
+    direction = np.cos(query_angle), np.sin(query_angle)
+    keys = jax.vmap(
+        lambda p, *uncertainties: search_keys(table.grid, [(p[0], p[1])], *uncertainties)[0]
+    )(point, direction, uncertainty_rad, uncertainty_px)
     query, segment = look_up_segments(table, np.asarray(keys))
-    found = set(zip(query.tolist(), segment.tolist(), strict=True))
-    assert {(k, k) for k in range(30)} <= found
-    assert len(found) == len(query)
+    query_pairs = set(zip(query.tolist(), segment.tolist(), strict=True))
+    assert {(k, k) for k in range(30)} <= query_pairs
+    assert len(query_pairs) == len(query)
 
 
 @given(SEEDS, st.integers(1, 40), st.integers(0, 60))

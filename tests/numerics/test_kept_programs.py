@@ -1,4 +1,4 @@
-"""Programs that are kept give what `jax.jit` gives, and are found again where nothing changed."""
+"""Stored programs return what `jax.jit` returns, and are loaded when nothing has changed."""
 
 from collections.abc import Iterator
 
@@ -22,13 +22,13 @@ from trinoc.numerics.tails import (
 
 
 class _Drawer(dict[str, bytes]):
-    """A store in memory that counts what was found."""
+    """A store in memory that counts the programs loaded from it."""
 
-    found = 0
+    loaded = 0
 
     def get(self, name: str, modules: frozenset[str] = frozenset()) -> bytes | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         content = super().get(name)
-        self.found += content is not None
+        self.loaded += content is not None
         return content
 
     def put(self, name: str, content: bytes, modules: frozenset[str] = frozenset()) -> None:
@@ -44,7 +44,7 @@ def drawer() -> Iterator[_Drawer]:
 
 
 def line_up(pose: Pose, by: jax.Array, times: int = 1) -> Pose:
-    """A value of trinoc in and out, with LAPACK on the way."""
+    """A program whose argument and result are values of trinoc, and which calls LAPACK."""
     root = jnp.linalg.cholesky(by @ by.T + 3.0 * jnp.eye(3))
     return Pose(pose.cam_from_world * times + root @ jnp.ones((3, 4)))
 
@@ -60,7 +60,7 @@ def test_a_program_found_again_gives_the_same_bits(drawer, arguments) -> None:
     first = kept_jit(line_up)(*arguments)
     assert len(drawer) == 1
     second = kept_jit(line_up)(*arguments)
-    assert drawer.found == 1
+    assert drawer.loaded == 1
     for one, other in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
         np.testing.assert_array_equal(one, other)
     assert isinstance(second, Pose)
@@ -84,17 +84,17 @@ def test_a_program_whose_prefetch_failed_is_compiled(drawer, arguments) -> None:
     (name,) = drawer
     drawer[name] = b"damaged"
     with prefetch_programs(drawer.values()):
-        again = kept_jit(line_up)(*arguments)
-    np.testing.assert_array_equal(again.cam_from_world, compiled.cam_from_world)
+        recompiled = kept_jit(line_up)(*arguments)
+    np.testing.assert_array_equal(recompiled.cam_from_world, compiled.cam_from_world)
 
 
 def test_other_arguments_and_settings_are_other_programs(drawer, arguments) -> None:
     pose, by = arguments
-    kept = kept_jit(line_up, static_argnames=("times",))
-    kept(pose, by)
-    kept(pose, by, times=2)
-    kept(pose, np.ones((3, 5)))
-    kept(pose=pose, by=by, times=1)
+    stored = kept_jit(line_up, static_argnames=("times",))
+    stored(pose, by)
+    stored(pose, by, times=2)
+    stored(pose, np.ones((3, 5)))
+    stored(pose=pose, by=by, times=1)
     assert len(drawer) == 3
 
 
@@ -107,8 +107,8 @@ def test_each_kind_of_number_is_a_program_of_its_own(drawer, kind) -> None:
     others = [k for k in (np.float64, np.float32, np.int32) if k is not kind]
     for other in others:
         kept_jit(doubled)(np.ones(3, other))
-    again = kept_jit(doubled)(np.ones(3, kind))
-    assert again.dtype == kind
+    result = kept_jit(doubled)(np.ones(3, kind))
+    assert result.dtype == kind
     assert len(drawer) == 3
     # A number of Python takes the kind of what it meets: another program again.
     kept_jit(doubled)(1.0)
@@ -121,12 +121,12 @@ def test_damage_is_compiled_anew(drawer, arguments) -> None:
     (name,) = drawer
     for damage in (b"", b"poison", drawer[name][:-9]):
         drawer[name] = damage
-        found = kept_jit(line_up)(*arguments)
-        np.testing.assert_array_equal(found.cam_from_world, expected.cam_from_world)
+        result = kept_jit(line_up)(*arguments)
+        np.testing.assert_array_equal(result.cam_from_world, expected.cam_from_world)
 
 
 class OwnLens(eqx.Module):
-    """A class of the user's, whose methods trinoc's version says nothing of."""
+    """A class of the user, whose methods are not covered by trinoc's version number."""
 
     strength: jax.Array
 
@@ -146,11 +146,11 @@ def test_what_a_user_may_edit_is_not_kept(drawer) -> None:
 
 def test_inside_traces_it_is_jit(drawer, arguments) -> None:
     pose, by = arguments
-    kept = kept_jit(line_up)
-    gradient = jax.grad(lambda by: jnp.sum(kept(pose, by).cam_from_world))(by)
+    stored = kept_jit(line_up)
+    gradient = jax.grad(lambda by: jnp.sum(stored(pose, by).cam_from_world))(by)
     expected = jax.grad(lambda by: jnp.sum(line_up(pose, by).cam_from_world))(by)
     np.testing.assert_allclose(gradient, expected, rtol=1e-12)
-    np.testing.assert_allclose(jax.jit(lambda x: kept(pose, x).cam_from_world)(by).shape, (3, 4))
+    np.testing.assert_allclose(jax.jit(lambda x: stored(pose, x).cam_from_world)(by).shape, (3, 4))
     assert drawer == {}
 
 

@@ -1,4 +1,4 @@
-"""The weight of a robust loss is its derivative, and it says of errors what its scale says."""
+"""The weight of a robust loss is its derivative, and its scale has the stated meaning."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Tables behave as sequences of rows, and as NumPy's arrays do where some are taken."""
+"""Tables behave as sequences of rows and index as NumPy's arrays do."""
 
 import copy
 import pickle
@@ -45,9 +45,9 @@ def test_a_row_holds_its_part_of_each_column(table: Table) -> None:
     for number, row in enumerate(table):
         assert isinstance(row, TableRow)
         for name, column in table.rows().items():
-            own = getattr(row, name)
+            value = getattr(row, name)
             if not isinstance(column, dict):
-                np.testing.assert_array_equal(own, column[number])
+                np.testing.assert_array_equal(value, column[number])
         for name in table.DERIVED:
             np.testing.assert_allclose(getattr(row, name), getattr(table, name)[number])
     assert len(list(table)) == len(table) == COUNT
@@ -88,11 +88,11 @@ def test_values_tell_their_numbers_and_no_shapes(table: Table) -> None:
 
 
 def test_what_is_traced_has_no_numbers_to_tell() -> None:
-    said = []
+    representations = []
 
     def look(segments: Segments) -> Any:
-        said.append(repr(segments))
+        representations.append(repr(segments))
         return segments.endpoints_px
 
     jax.jit(look)(SEGMENTS)
-    assert said == ["<Segments: traced>"]
+    assert representations == ["<Segments: traced>"]

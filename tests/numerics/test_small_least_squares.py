@@ -1,4 +1,4 @@
-"""Many small problems are each solved as it would be alone, and their covariances hold."""
+"""Many small problems are solved as each would be alone, and their covariances are right."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ LOSSES = [GemanMcClure.from_scale(4.0), MIXTURE]
 
 
 def linear(count=5, observations=12, numbers=2, parameters=3, seed=0):
-    """(jacobian, observed) of problems whose residual is jacobian @ state - observed."""
+    """Jacobian and observations of problems with the residual jacobian @ state - observed."""
     rng = np.random.default_rng(seed)
     jacobian = rng.normal(size=(count, observations, numbers, parameters))
     return jacobian, rng.normal(size=(count, observations, numbers))
@@ -39,12 +39,12 @@ def fit(jacobian, observed, loss=None, steps=1, start=None, largest=np.inf, **mo
 def test_one_step_solves_each_linear_problem_and_its_covariance_is_the_inverse():
     jacobian, observed = linear()
     state, equations = fit(jacobian, observed)
-    for own, seen, found, chi_square, covariance in zip(
+    for slopes, values, solution, chi_square, covariance in zip(
         jacobian, observed, state, equations.chi_square, equations.covariance(), strict=True
     ):
-        rows = own.reshape(-1, 3)
-        expected, square, *_ = np.linalg.lstsq(rows, seen.ravel(), rcond=None)
-        np.testing.assert_allclose(found, expected, rtol=1e-7)
+        rows = slopes.reshape(-1, 3)
+        expected, square, *_ = np.linalg.lstsq(rows, values.ravel(), rcond=None)
+        np.testing.assert_allclose(solution, expected, rtol=1e-7)
         np.testing.assert_allclose(chi_square, square[0])
         np.testing.assert_allclose(covariance, np.linalg.inv(rows.T @ rows), rtol=1e-9)
     np.testing.assert_array_equal(equations.rank(), 3)
@@ -56,10 +56,10 @@ def test_the_gradient_is_the_derivative_of_half_the_losses_and_of_the_prior(
 ) -> None:
     jacobian, observed = linear(count=2)
     precision, mean = np.array([[0.5, 2.0, 0.0]] * 2), np.array([0.3, -0.4, 0.1])
-    at = np.array([0.2, 0.1, -0.3])
-    residual = jacobian @ at - observed
-    found = normal_equations(
-        Residuals(residual, jacobian, None, np.tile(at - mean, (2, 1)), precision), loss
+    state_0 = np.array([0.2, 0.1, -0.3])
+    residual = jacobian @ state_0 - observed
+    equations = normal_equations(
+        Residuals(residual, jacobian, None, np.tile(state_0 - mean, (2, 1)), precision), loss
     )
 
     def half(state, problem):
@@ -69,11 +69,11 @@ def test_the_gradient_is_the_derivative_of_half_the_losses_and_of_the_prior(
 
     for problem in range(2):
         steps = 1e-6 * np.eye(3)
-        slope = [half(at + d, problem) - half(at - d, problem) for d in steps]
-        np.testing.assert_allclose(found.gradient[problem], np.array(slope) / 2e-6, rtol=1e-6)
+        slope = [half(state_0 + d, problem) - half(state_0 - d, problem) for d in steps]
+        np.testing.assert_allclose(equations.gradient[problem], np.array(slope) / 2e-6, rtol=1e-6)
         squared = (residual[problem] ** 2).sum(axis=1)
         weighted = (np.asarray(loss.weight(squared)) * squared).sum()
-        np.testing.assert_allclose(found.chi_square[problem], weighted)
+        np.testing.assert_allclose(equations.chi_square[problem], weighted)
 
 
 def test_a_prior_is_one_more_observation_of_each_parameter():
@@ -100,10 +100,10 @@ def test_padding_counts_for_nothing():
     weight = np.ones((2, 12))
     weight[1, 7:] = 0.0
     state, equations = fit(jacobian, observed, MIXTURE, 6, weight=weight)
-    alone, own = fit(jacobian[1:, :7], observed[1:, :7], MIXTURE, 6)
-    np.testing.assert_allclose(state[1], alone[0])
-    np.testing.assert_allclose(equations.information[1], own.information[0])
-    np.testing.assert_allclose(equations.chi_square[1], own.chi_square[0])
+    unpadded_state, unpadded = fit(jacobian[1:, :7], observed[1:, :7], MIXTURE, 6)
+    np.testing.assert_allclose(state[1], unpadded_state[0])
+    np.testing.assert_allclose(equations.information[1], unpadded.information[0])
+    np.testing.assert_allclose(equations.chi_square[1], unpadded.chi_square[0])
 
 
 @pytest.mark.parametrize("loss", LOSSES)
@@ -112,8 +112,8 @@ def test_reweighted_steps_end_where_the_sum_of_losses_is_least(loss: AbstractRob
     observed[0, :4] += 9.0
     state, _ = fit(jacobian, observed, loss, 60)
 
-    def cost(at):
-        rows = jacobian[0] @ at - observed[0]
+    def cost(parameters):
+        rows = jacobian[0] @ parameters - observed[0]
         return float(np.sum(loss.rho((rows**2).sum(axis=1))))
 
     best = minimize(cost, state[0], method="BFGS", options={"gtol": 1e-9})

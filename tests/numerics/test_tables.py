@@ -1,4 +1,4 @@
-"""Laws of tables, asked of every value that is one."""
+"""Laws of tables, tested on every table class."""
 
 import dataclasses
 import re
@@ -47,18 +47,18 @@ def test_what_is_written_is_what_is_read(table: Table) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_sides_with_a_name_have_words(kind: type[Table]) -> None:
     for field in list_fields(kind):
-        known = {side for side in field.sides if not side.isdigit()}
-        assert known <= set(kind.SIDES)
+        named_sides = {side for side in field.sides if not side.isdigit()}
+        assert named_sides <= set(kind.SIDES)
 
 
 @given(st.lists(st.integers(0, 4), max_size=6))
 def test_rows_are_taken_and_appended(rows: list[int]) -> None:
-    chosen = np.array(rows, dtype=np.int64)
-    part = MATCHES.take(chosen)
+    selected = np.array(rows, dtype=np.int64)
+    part = MATCHES.take(selected)
     for name, column in part.named_columns().items():
-        np.testing.assert_array_equal(column, MATCHES.named_columns()[name][chosen])
-    given_rows = {name: v for name, v in part.rows().items() if name != "marks"}
-    longer = MATCHES.append(given_rows | {"share": part.marks["share"]})
+        np.testing.assert_array_equal(column, MATCHES.named_columns()[name][selected])
+    part_columns = {name: v for name, v in part.rows().items() if name != "marks"}
+    longer = MATCHES.append(part_columns | {"share": part.marks["share"]})
     np.testing.assert_array_equal(longer.take(np.arange(5)).lines_mm, MATCHES.lines_mm)
     np.testing.assert_array_equal(longer.lines_mm[5:], part.lines_mm)
     np.testing.assert_array_equal(longer.marks["share"][5:], part.marks["share"])
@@ -81,8 +81,8 @@ def test_files_of_before_still_load() -> None:
     arrays = list_arrays(SEGMENTS) | {"image_size_px": np.array([], dtype=np.int64)}
     assert build_table(Segments, ArrayFields(arrays, "file")).image_size_px is None
     arrays = list_arrays(MATCHES) | {"measure": MATCHES.index >= 0}
-    found = build_table(Matches, ArrayFields(arrays, "file"))
-    np.testing.assert_array_equal(found.marks["measure"], MATCHES.index >= 0)
+    matches = build_table(Matches, ArrayFields(arrays, "file"))
+    np.testing.assert_array_equal(matches.marks["measure"], MATCHES.index >= 0)
 
 
 @pytest.mark.parametrize(

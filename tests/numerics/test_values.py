@@ -1,4 +1,4 @@
-"""Values cannot be written to, are equal by content, and leave their maker's arrays alone."""
+"""Values are read-only and equal by content; the caller's arrays stay unchanged."""
 
 import copy
 import dataclasses
@@ -79,30 +79,30 @@ def test_unknown_numbers_equal_each_other_alone() -> None:
 
 
 def test_the_maker_s_arrays_stay_writable_and_are_not_copied() -> None:
-    given = np.zeros((4, 4))
-    rig = trinoc.Rig(dict(RIG.items()), parameters=tuple("abcd"), covariance=given)
-    given[0, 0] = 1.0
-    assert np.shares_memory(rig.covariance, given)
+    covariance = np.zeros((4, 4))
+    rig = trinoc.Rig(dict(RIG.items()), parameters=tuple("abcd"), covariance=covariance)
+    covariance[0, 0] = 1.0
+    assert np.shares_memory(rig.covariance, covariance)
     assert not np.asarray(rig.covariance).flags.writeable
     with pytest.raises(dataclasses.FrozenInstanceError):
         rig.names = ()
 
 
 def test_a_file_of_something_else_is_not_overwritten(tmp_path) -> None:
-    place = tmp_path / "rig.json"
-    trinoc.save(RIG, place)
-    trinoc.save(RIG, place)
-    before = place.read_bytes()
+    file = tmp_path / "rig.json"
+    trinoc.save(RIG, file)
+    trinoc.save(RIG, file)
+    before = file.read_bytes()
     for value in (demo_pattern(), LENS):
         with pytest.raises(
             InputError,
             match=r"rig\.json exists and contains a file of trinoc-rig.*"
             "overwrite=True",
         ):
-            trinoc.save(value, place)
-    assert place.read_bytes() == before
-    trinoc.save(LENS, place, overwrite=True)
-    assert trinoc.load(place) == LENS
+            trinoc.save(value, file)
+    assert file.read_bytes() == before
+    trinoc.save(LENS, file, overwrite=True)
+    assert trinoc.load(file) == LENS
     table = tmp_path / "matches.npz"
     trinoc.save(bench_matches(), table)
     with pytest.raises(InputError, match="contains a file of trinoc-matches"):
@@ -111,7 +111,7 @@ def test_a_file_of_something_else_is_not_overwritten(tmp_path) -> None:
 
 
 def test_values_stay_values_inside_a_trace() -> None:
-    """Within `jit` an array is JAX's, and equality is one, too."""
+    """Inside `jit` the arrays are JAX's, and the result of `==` is an array of JAX, too."""
     twice = jax.jit(lambda lens: jax.tree.map(lambda leaf: 2 * leaf, lens))(LENS)
     assert isinstance(twice, Value)
     assert bool(jax.jit(lambda a, b: a == b)(LENS, LENS))

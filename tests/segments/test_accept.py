@@ -1,4 +1,4 @@
-"""What counts against a line is weighed by what the picture's other lines are like."""
+"""Evidence against a line is weighed by the properties of the picture's other lines."""
 
 import os
 from pathlib import Path
@@ -17,14 +17,14 @@ from trinoc.segments.nevatia_babu.line_fit import FittedLines
 def lines(
     blur_px2, *, support: int = 40, sagitta_px: float = 0.0, residual_px: float = 0.05
 ) -> FittedLines:
-    """Clear lines far from each other, so many points long."""
+    """Clear lines far from each other, each of `support` points."""
     blur = np.asarray(blur_px2, dtype=float)
     one = np.ones(len(blur))
     centre = np.stack([np.arange(len(blur)) * 500.0, 0 * one], axis=-1)
-    way = np.tile([1.0, 0.0], (len(blur), 1))
+    direction = np.tile([1.0, 0.0], (len(blur), 1))
     return FittedLines(
-        centre, way, support / 2 * np.stack([-one, one], axis=-1), 40 * one, one, blur, 1.5 * one,
-        1e-4 * one, residual_px * one, sagitta_px * one, np.full(len(blur), support),
+        centre, direction, support / 2 * np.stack([-one, one], axis=-1), 40 * one, one, blur,
+        1.5 * one, 1e-4 * one, residual_px * one, sagitta_px * one, np.full(len(blur), support),
         1e4 * support * one,
     )  # fmt: skip
 
@@ -59,15 +59,15 @@ def test_widths_of_faint_lines_do_not_widen_the_limit() -> None:
 
 
 def pieces_of_a_circle(radius_px: float, angle_deg: float, count: int) -> FittedLines:
-    """Chords of a circle, one after the other, bowed as the circle is."""
+    """Consecutive chords of a circle, with the sagitta of their arcs."""
     angle = np.radians(angle_deg) * (np.arange(count) + 0.5)
-    half, way = np.radians(angle_deg) / 2, np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+    half, direction = np.radians(angle_deg) / 2, np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
     bow, extent = radius_px * (1 - np.cos(half)), radius_px * np.sin(half)
     chords = lines(np.ones(count), sagitta_px=bow, residual_px=float(bow * np.sqrt(4 / 45)))
     middle = radius_px * np.cos(half) * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     ends = np.tile([-extent, extent], (count, 1))
     # The bow's sign is that of the turn from each piece to the next.
-    return chords._replace(centre_px=middle, direction=way, extent_px=ends)
+    return chords._replace(centre_px=middle, direction=direction, extent_px=ends)
 
 
 def test_pieces_that_go_on_as_they_bow_are_an_arc_and_one_piece_alone_is_none() -> None:
@@ -85,8 +85,8 @@ def test_points_that_scatter_more_than_the_arc_explains_lie_on_a_line() -> None:
 
 
 @pytest.mark.skipif("TRINOC_DATA" not in os.environ, reason="TRINOC_DATA names no folder of data")
-@pytest.mark.parametrize(("name", "least"), [("vgg_corridor", 0.93), ("vgg_house", 0.94)])
-def test_published_segments_of_photographs_are_found(name: str, least: float) -> None:
+@pytest.mark.parametrize(("name", "least_share"), [("vgg_corridor", 0.93), ("vgg_house", 0.94)])
+def test_published_segments_of_photographs_are_found(name: str, least_share: float) -> None:
     folder = Path(os.environ["TRINOC_DATA"]) / name
     pictures = sorted(folder.glob("view*"))
     if not pictures:
@@ -94,12 +94,12 @@ def test_published_segments_of_photographs_are_found(name: str, least: float) ->
     published = np.load(next(folder.glob("*.npz")))["segments_0"][:, :4].reshape(-1, 2, 2)
     picture = np.asarray(cv2.imread(str(pictures[0]), cv2.IMREAD_GRAYSCALE))
     ends = find_segments(picture).endpoints_px
-    way = ends[:, 1] - ends[:, 0]
-    length = np.linalg.norm(way, axis=1)
-    way /= length[:, None]
-    # Places along the published segments, each as often as the segment is long.
+    direction = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(direction, axis=1)
+    direction /= length[:, None]
+    # Points along the published segments, about one per pixel.
     parts = [np.linspace(a, b, int(np.linalg.norm(b - a))) for a, b in published]
     offset = np.concatenate(parts)[:, None] - ends[:, 0]
-    along, across = (offset * way).sum(-1), np.abs(cross_2d(offset, way))
-    near = (across < 1.5) & (along > -1.5) & (along < length + 1.5)
-    assert near.any(axis=1).mean() > least
+    along, across = (offset * direction).sum(-1), np.abs(cross_2d(offset, direction))
+    is_near = (across < 1.5) & (along > -1.5) & (along < length + 1.5)
+    assert is_near.any(axis=1).mean() > least_share

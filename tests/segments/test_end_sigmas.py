@@ -1,4 +1,4 @@
-"""What an end's standard deviation along its line follows from."""
+"""The standard deviation of an end along its line follows from contrast and partner."""
 
 import numpy as np
 
@@ -14,13 +14,13 @@ SNAP_PX, SIGMA_PX = DEFAULT.ends.snap_px, DEFAULT.ends.sigma_free_px
 
 
 def sigmas(gap_px: float, contrast: float) -> np.ndarray:
-    """Of a line along u, whose second end is so far before a line along v."""
+    """End sigmas of a line along u whose second end is `gap_px` away from a line along v."""
     centre = np.array([[50.0, 50.0], [80.0 + gap_px, 50.0]])
     direction = np.array([[1.0, 0.0], [0.0, 1.0]])
     extent = np.array([[-30.0, 30.0], [-40.0, 40.0]])
     pieces = Pieces(centre, direction, extent)
-    near = lines_near_ends(pieces, SNAP_PX)
-    partner, _ = snap_ends(pieces, SNAP_PX, near)
+    nearby_lines = lines_near_ends(pieces, SNAP_PX)
+    partner, _ = snap_ends(pieces, SNAP_PX, nearby_lines)
     return end_sigmas(np.full(2, contrast), partner)[0]
 
 

@@ -1,4 +1,4 @@
-"""Laws of the whole chain: what a change of the picture does to its segments."""
+"""Laws of the whole detector: effects of changes of the picture on its segments."""
 
 import numpy as np
 import pytest
@@ -30,8 +30,8 @@ def polygon_image(
     corners = np.array([[30.2, 25.4], [112.7, 34.1], [99.3, 88.8], [41.6, 80.3]]) + shift_uv
     inside = np.ones((height, WIDTH))
     for first, second in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        way = (second - first) / np.linalg.norm(second - first)
-        inside = inside * soft_step((v - first[1]) * way[0] - (u - first[0]) * way[1])
+        direction = (second - first) / np.linalg.norm(second - first)
+        inside = inside * soft_step((v - first[1]) * direction[0] - (u - first[0]) * direction[1])
     grey = 60.0 + 90.0 * inside
     return grey + np.random.default_rng(3).normal(0.0, noise, grey.shape)
 
@@ -45,7 +45,7 @@ def sorted_ends(endpoints_px: np.ndarray) -> np.ndarray:
 
 
 def same_ends(one: np.ndarray, other: np.ndarray, atol: float) -> bool:
-    """Whether both hold the same segments, each with its ends in the same order."""
+    """True if both hold the same segments, each with its ends in the same order."""
     if len(one) != len(other):
         return False
     distance = np.abs(one[:, None] - other[None]).max(axis=(2, 3))
@@ -97,8 +97,11 @@ def test_every_polarity_is_positive_and_says_the_darker_side(
 ) -> None:
     assert (np.asarray(segments.polarity) == 1).all()
     ends = np.asarray(segments.endpoints_px)
-    way = ends[:, 1] - ends[:, 0]
-    right = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.linalg.norm(way, axis=1)[:, None]
+    direction = ends[:, 1] - ends[:, 0]
+    right = (
+        np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
+        / np.linalg.norm(direction, axis=1)[:, None]
+    )
     middle = ends.mean(axis=1)
     for sign, is_darker in ((4.0, True), (-4.0, False)):
         column, row = np.rint(middle + sign * right).astype(int).T
@@ -208,7 +211,7 @@ def test_noise_alone_makes_hardly_any_segment() -> None:
 
 
 @pytest.mark.parametrize(
-    ("image", "words"),
+    ("image", "message"),
     [
         (np.zeros((40, 40, 5), np.uint8), "shape"),
         (np.zeros((8, 40), np.uint8), "at least"),
@@ -216,8 +219,8 @@ def test_noise_alone_makes_hardly_any_segment() -> None:
         (np.full((40, 40), np.nan), "not finite"),
     ],
 )
-def test_what_is_no_picture_is_refused(image: np.ndarray, words: str) -> None:
-    with pytest.raises(InputError, match=words):
+def test_what_is_no_picture_is_refused(image: np.ndarray, message: str) -> None:
+    with pytest.raises(InputError, match=message):
         find_segments(image)
 
 
@@ -244,7 +247,7 @@ def test_the_levels_beside_segments_are_those_of_the_picture(segments: Segments)
 
 
 def test_what_is_fitted_again_is_all_that_changed() -> None:
-    """Lines that were joined, and those with points that a neighbour moved, to the last bit."""
+    """Refits of joined lines and of lines with removed points equal new fits to the last bit."""
     grey = polygon_image(noise=2.0, height=180)
     # Two edges beside each other, one far from all, and gaps, which joined lines go across.
     grey[:110, 120:124] += 25
@@ -254,15 +257,17 @@ def test_what_is_fitted_again_is_all_that_changed() -> None:
     single = find_runs(level, 1.6, 7.0)
     runs, lines = merge_collinear(single, fit_lines(single), 1.6)
     assert len(runs.first) < len(single.first)
-    for found, anew in zip(lines, fit_lines(runs), strict=True):
-        np.testing.assert_array_equal(found, anew)
-    near = find_overlaps(runs, lines, level.kernel_variance_px2 + 1)
-    points = without_neighbours(runs.points, lines, 1.0, near)
+    for column, refitted in zip(lines, fit_lines(runs), strict=True):
+        np.testing.assert_array_equal(column, refitted)
+    overlaps = find_overlaps(runs, lines, level.kernel_variance_px2 + 1)
+    points = without_neighbours(runs.points, lines, 1.0, overlaps)
     cleaned = runs._replace(points=points)
     changed = cleaned.differ_from(runs)
     assert 0 < changed.sum() < len(changed)
-    for found, anew in zip(refit_lines(cleaned, lines, changed), fit_lines(cleaned), strict=True):
-        np.testing.assert_array_equal(found, anew)
+    for column, refitted in zip(
+        refit_lines(cleaned, lines, changed), fit_lines(cleaned), strict=True
+    ):
+        np.testing.assert_array_equal(column, refitted)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -282,7 +287,7 @@ def test_chains_are_those_of_walking_along_them_and_rings_begin_at_their_least(s
 
 
 def test_beyond_the_fold_of_its_lens_no_line_is_found() -> None:
-    """A line that crosses the radius ends there, and one beyond is not found."""
+    """A line that crosses the radius ends there; a line beyond it is not found."""
     lens = Intrinsics(image_size_px=(640, 480), focal_length_px=500.0, distortion=[-0.3])
     radius_px = lens.valid_radius_px
     assert 345 < radius_px < 355

@@ -1,4 +1,4 @@
-"""The picture's own range decides what a grey level is, and what is not found is explained."""
+"""The scale of grey levels follows from the picture's range, and empty results are explained."""
 
 import cv2
 import numpy as np
@@ -50,23 +50,23 @@ def test_however_the_levels_are_delivered_the_segments_are_those_of_8_bit(delive
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 def test_pictures_that_fill_their_type_are_as_they_were_to_the_last_bit(kind):
     image = np.random.default_rng(1).integers(0, np.iinfo(kind).max + 1, (40, 50)).astype(kind)
-    found = grey_image(image).in_255ths()
+    scaled = grey_image(image).in_255ths()
     scale = 1.0 if kind is np.uint8 else 1 / 257
-    np.testing.assert_array_equal(found.grey, image.astype(np.float32) * np.float32(scale))
-    assert (found.quantum, found.white) == (scale, 254.0)
+    np.testing.assert_array_equal(scaled.grey, image.astype(np.float32) * np.float32(scale))
+    assert (scaled.quantum, scaled.white) == (scale, 254.0)
 
 
 @pytest.mark.parametrize(
-    ("image", "said"),
+    ("image", "message"),
     [
         (np.full((40, 50), 7, np.uint8), "same grey level"),
         (np.tile(np.repeat([100, 103], 25), (40, 1)).astype(np.uint8), "least_contrast is 7"),
         (np.random.default_rng(2).normal(120, 12, (90, 90)), "noise"),
     ],
 )
-def test_nothing_is_explained(image, said):
+def test_nothing_is_explained(image, message):
     assert len(ends(image)) == 0
-    assert said in why_nothing(image)
+    assert message in why_nothing(image)
 
 
 def test_a_disc_is_sharp_but_not_straight():
@@ -81,11 +81,11 @@ def test_of_a_picture_that_was_enlarged_it_is_said_by_how_much_it_is_soft(times)
     picture = demo_images("scene")["upper"]
     assert why_short(picture) is None
     # Whatever the exposure, and whichever way round the picture lies.
-    for seen in (picture, picture.T // 2):
-        enlarged = cv2.resize(seen, None, fx=times, fy=times, interpolation=cv2.INTER_CUBIC)
-        said = why_short(enlarged)
-        assert said is not None
+    for variant in (picture, picture.T // 2):
+        enlarged = cv2.resize(variant, None, fx=times, fy=times, interpolation=cv2.INTER_CUBIC)
+        explanation = why_short(enlarged)
+        assert explanation is not None
         # The demo's lens blurs by .7 px, and so many pixels lie within one of the picture's.
-        assert any(f"about {blur} px" in said for blur in range(times // 2, times + 1))
+        assert any(f"about {blur} px" in explanation for blur in range(times // 2, times + 1))
     assert why_short(np.full((40, 50), 7, np.uint8)) is None
     assert why_short(picture[:16, :40]) is None

@@ -13,31 +13,31 @@ def junctions_of(rows: list[list[float]]) -> Segments:
 
 
 def test_two_ends_that_meet_are_an_l() -> None:
-    found = junctions_of([[10, 10, 50, 11], [51, 10, 52, 60]]).junctions
-    assert found is not None
-    assert list(found.kind) == ["L"]
-    assert np.allclose(found.uv_px[0], [51.0, 11.0], atol=0.5)
-    assert sorted(zip(found.segment, found.end, strict=True)) == [(0, 1), (1, 0)]
+    junctions = junctions_of([[10, 10, 50, 11], [51, 10, 52, 60]]).junctions
+    assert junctions is not None
+    assert list(junctions.kind) == ["L"]
+    assert np.allclose(junctions.uv_px[0], [51.0, 11.0], atol=0.5)
+    assert sorted(zip(junctions.segment, junctions.end, strict=True)) == [(0, 1), (1, 0)]
 
 
 def test_an_end_on_a_body_is_a_t() -> None:
-    found = junctions_of([[10, 10, 90, 10], [50, 12, 52, 60]]).junctions
-    assert found is not None
-    assert list(found.kind) == ["T"]
-    assert sorted(zip(found.segment, found.end, strict=True)) == [(0, -1), (1, 0)]
+    junctions = junctions_of([[10, 10, 90, 10], [50, 12, 52, 60]]).junctions
+    assert junctions is not None
+    assert list(junctions.kind) == ["T"]
+    assert sorted(zip(junctions.segment, junctions.end, strict=True)) == [(0, -1), (1, 0)]
 
 
 def test_three_ends_at_one_corner_are_a_y() -> None:
-    found = junctions_of([[50, 50, 90, 60], [50, 50, 20, 80], [51, 49, 50, 10]]).junctions
-    assert found is not None
-    assert list(found.kind) == ["Y"]
-    assert len(found.segment) == 3
+    junctions = junctions_of([[50, 50, 90, 60], [50, 50, 20, 80], [51, 49, 50, 10]]).junctions
+    assert junctions is not None
+    assert list(junctions.kind) == ["Y"]
+    assert len(junctions.segment) == 3
 
 
 def test_segments_that_only_cross_have_no_junction() -> None:
-    found = junctions_of([[10, 50, 90, 50], [50, 10, 50, 90]]).junctions
-    assert found is not None
-    assert len(found) == 0
+    junctions = junctions_of([[10, 50, 90, 50], [50, 10, 50, 90]]).junctions
+    assert junctions is not None
+    assert len(junctions) == 0
 
 
 def test_pieces_of_one_edge_are_one_chain() -> None:
@@ -98,8 +98,8 @@ def corner_directions() -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_junction_has_the_stated_covariance_where_segments_are_not_equally_well_known() -> None:
-    """Segments are shifted across by noise of their standard deviations: the corner's squared
-    error in sigmas has the mean 2 of a chi-square law of two degrees of freedom."""
+    """Segments are shifted across by noise of their standard deviations. The corner's squared
+    normalised error then has the mean 2 of chi-square with two degrees of freedom."""
     random = np.random.default_rng(0)
     along, across = corner_directions()
     covariance = np.zeros((3, 4, 4))
@@ -112,10 +112,10 @@ def test_a_junction_has_the_stated_covariance_where_segments_are_not_equally_wel
         moved = CORNER + (ACROSS_PX * random.normal(size=3))[:, None, None] * across[:, None]
         segments = Segments.from_endpoints(moved)
         segments = eqx.tree_at(lambda s: s.covariance_px2, segments, covariance)
-        found = with_junctions(segments).junctions
-        assert found is not None
-        assert list(found.kind) == ["Y"]
-        error = np.asarray(found.uv_px)[0] - 50.0
-        squares.append(error @ np.linalg.solve(np.asarray(found.covariance_px2)[0], error))
+        junctions = with_junctions(segments).junctions
+        assert junctions is not None
+        assert list(junctions.kind) == ["Y"]
+        error = np.asarray(junctions.uv_px)[0] - 50.0
+        squares.append(error @ np.linalg.solve(np.asarray(junctions.covariance_px2)[0], error))
     # The mean of 400 such squares has the standard deviation 0.1.
     assert abs(np.mean(squares) - 2.0) < 0.35

@@ -1,4 +1,4 @@
-"""Edges are placed where the light has them, whatever the camera's response makes of them."""
+"""Edges lie at their positions in the light, whatever the camera's response is."""
 
 import numpy as np
 import pytest
@@ -34,20 +34,20 @@ def delivered(light: np.ndarray, encoded=srgb, noise: float = 1.5) -> np.ndarray
     return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
 
 
-def offsets(dark: float, bright: float, width_px: float, given, *, encoded=srgb) -> np.ndarray:
-    """(angles, 2) how far the edge lies toward its bright side, in px and in claimed sigmas."""
-    found = []
+def offsets(dark: float, bright: float, width_px: float, response, *, encoded=srgb) -> np.ndarray:
+    """(angles, 2) offset of the edge toward its bright side, in px and in reported sigmas."""
+    rows = []
     for angle in ANGLES:
         middle = np.array([27.3, 28.1]) + 0.3 * np.array([np.sin(5 * angle), np.cos(7 * angle)])
         image = delivered(step(across(angle, middle), dark, bright, width_px), encoded)
-        segments = find_segments(image, response=given)
+        segments = find_segments(image, response=response)
         longest = int(np.argmax(segments.length_px))
         normal = np.array([np.cos(angle), np.sin(angle)])
         half = np.concatenate([normal, normal]) / 2
         off = ((np.asarray(segments.endpoints_px)[longest] - middle) @ normal).mean()
         sigma = np.sqrt(half @ np.asarray(segments.covariance_px2)[longest] @ half)
-        found.append((off, off / sigma))
-    return np.array(found)
+        rows.append((off, off / sigma))
+    return np.array(rows)
 
 
 @pytest.mark.parametrize(
@@ -57,11 +57,11 @@ def offsets(dark: float, bright: float, width_px: float, given, *, encoded=srgb)
 def test_srgb_moves_an_edge_toward_dark_and_is_undone(
     dark: float, bright: float, width_px: float, moved: float
 ) -> None:
-    without, given = (offsets(dark, bright, width_px, r) for r in ("linear", "srgb"))
+    without, with_response = (offsets(dark, bright, width_px, r) for r in ("linear", "srgb"))
     assert without[:, 0].mean() / width_px == pytest.approx(-moved, abs=0.04)
-    assert np.abs(given[:, 0]).max() < 0.045
-    assert abs(given[:, 0].mean()) < 0.015
-    assert np.mean(np.square(given[:, 1])) < 1.6
+    assert np.abs(with_response[:, 0]).max() < 0.045
+    assert abs(with_response[:, 0].mean()) < 0.015
+    assert np.mean(np.square(with_response[:, 1])) < 1.6
 
 
 def test_other_responses_are_given_by_a_number() -> None:
@@ -84,7 +84,9 @@ def test_two_edges_side_by_side_are_parted_in_light() -> None:
         segments = find_segments(delivered(bar), response=response)
         long = np.flatnonzero(np.asarray(segments.length_px) > 30)
         assert len(long) == 2
-        places = ((np.asarray(segments.endpoints_px)[long] - [27.4, 27.8]) @ normal).mean(axis=1)
-        off[response] = np.abs(np.sort(places) - [-half_width, half_width]).max()
+        positions_px = ((np.asarray(segments.endpoints_px)[long] - [27.4, 27.8]) @ normal).mean(
+            axis=1
+        )
+        off[response] = np.abs(np.sort(positions_px) - [-half_width, half_width]).max()
     assert off["linear"] > 0.2
     assert off["srgb"] < 0.1

@@ -1,4 +1,4 @@
-"""Edges with a saturated bright side lie where the unsaturated side says, within their sigmas."""
+"""Edges with a saturated bright side lie at the true position within their sigmas."""
 
 import cv2
 import numpy as np
@@ -14,22 +14,22 @@ MIDDLE = np.array([32.2, 31.4])
 
 
 def picture(height: float, width_px: float, *, seed: int, reference: bool) -> np.ndarray:
-    """A step from 50 that goes on to `height` times the visible one, and perhaps a clear stripe."""
+    """A step from 50 by `height` times the visible range, and clear stripes if `reference`."""
     v, u = np.mgrid[:72, :72].astype(float)
     across = (u - MIDDLE[0]) * NORMAL[0] + (v - MIDDLE[1]) * NORMAL[1]
     grey = 50 + 205 * height * ndtr(across / width_px)
     if reference:
-        for place, step in ((-10, -25), (-17, 25), (-25, -25), (-32, 25)):
-            grey = grey + step * ndtr((across - place) / width_px)
+        for centre_px, step in ((-10, -25), (-17, 25), (-25, -25), (-32, 25)):
+            grey = grey + step * ndtr((across - centre_px) / width_px)
     grey = grey + np.random.default_rng(seed).normal(0, 1.5, grey.shape)
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
 
 
-def found(segments: Segments) -> tuple[np.ndarray, np.ndarray, str]:
-    """(off, covariance) of both ends across, toward the bright side, and the reason."""
+def longest_edge(segments: Segments) -> tuple[np.ndarray, np.ndarray, str]:
+    """Offsets of both ends toward the bright side, px, their covariance, px^2, and the reason."""
     ends = np.asarray(segments.endpoints_px)
-    near = np.abs((ends - MIDDLE) @ NORMAL).max(axis=1) < 4
-    index = int(np.argmax(np.where(near, segments.length_px, 0)))
+    is_near = np.abs((ends - MIDDLE) @ NORMAL).max(axis=1) < 4
+    index = int(np.argmax(np.where(is_near, segments.length_px, 0)))
     rows = np.kron(np.eye(2), NORMAL)
     covariance = rows @ np.asarray(segments.covariance_px2)[index] @ rows.T
     assert segments.reasons is not None
@@ -41,7 +41,7 @@ def found(segments: Segments) -> tuple[np.ndarray, np.ndarray, str]:
 def test_a_saturated_edge_lies_within_its_sigmas_and_near_the_truth(
     height: float, width_px: float
 ) -> None:
-    off, covariance, reason = found(
+    off, covariance, reason = longest_edge(
         find_segments(picture(height, width_px, seed=1, reference=True))
     )
     assert reason == "saturated"
@@ -55,7 +55,7 @@ def test_a_saturated_edge_lies_within_its_sigmas_and_near_the_truth(
 def test_the_scatter_of_saturated_edges_is_no_more_than_is_claimed() -> None:
     pulls = []
     for seed in range(12):
-        off, covariance, _ = found(
+        off, covariance, _ = longest_edge(
             find_segments(picture(1.2 + 0.1 * seed, 1.0, seed=seed, reference=True))
         )
         pulls.append(off.mean() / np.sqrt(covariance.mean()))
@@ -63,26 +63,26 @@ def test_the_scatter_of_saturated_edges_is_no_more_than_is_claimed() -> None:
 
 
 def test_what_a_saturated_edge_is_off_by_its_ends_have_in_common() -> None:
-    _, covariance, _ = found(find_segments(picture(2.0, 1.2, seed=0, reference=True)))
+    _, covariance, _ = longest_edge(find_segments(picture(2.0, 1.2, seed=0, reference=True)))
     correlation = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
     # Noise alone makes it -1/2.
     assert correlation > 0.3
 
 
 def test_without_another_edge_the_blur_is_less_known_and_the_sigma_larger() -> None:
-    alone, beside = (
-        found(find_segments(picture(2.0, 1.2, seed=3, reference=reference)))
+    alone, with_reference = (
+        longest_edge(find_segments(picture(2.0, 1.2, seed=3, reference=reference)))
         for reference in (False, True)
     )
-    assert alone[1].mean() > beside[1].mean()
+    assert alone[1].mean() > with_reference[1].mean()
     assert abs(alone[0].mean()) < 3 * np.sqrt(alone[1].mean())
 
 
 def test_the_parts_of_a_covariance_add_up() -> None:
-    way, middle = np.array([[0.6, 0.8]]), np.array([0.01])
+    direction, middle = np.array([[0.6, 0.8]]), np.array([0.01])
     common, off, along = np.array([0.04]), np.array([[0.0, 0.09]]), np.array([[0.5, 2.0]])
-    covariance = end_covariances(way, middle, common, off, along)[0]
-    across, forward = np.array([-0.8, 0.6]), way[0]
+    covariance = end_covariances(direction, middle, common, off, along)[0]
+    across, forward = np.array([-0.8, 0.6]), direction[0]
     rows = np.kron(np.eye(2), across)
     expected = np.array([[0.04 + 0.04, 0.04 - 0.02], [0.04 - 0.02, 0.04 + 0.04 + 0.09]])
     np.testing.assert_allclose(rows @ covariance @ rows.T, expected, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Slopes of grey levels beside an edge: where the edge is put, and what is claimed."""
+"""Slopes of grey levels beside an edge: effect on its position and its reported sigma."""
 
 import cv2
 import numpy as np
@@ -14,8 +14,8 @@ UNSHADED = with_field(DEFAULT, "errors.shade_share", 0.0)
 
 
 def shaded_edge(angle_deg: float, dark: float, bright: float) -> tuple[np.ndarray, np.ndarray]:
-    """(picture, unit vector toward the bright side) of an edge through the middle, with a slope,
-    in grey levels per pixel, beside it on either side up to 12 px away."""
+    """Picture of an edge through the middle and unit vector toward its bright side. The grey levels
+    have these slopes, per pixel, on either side up to 12 px away."""
     across = np.array([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))])
     v, u = (np.mgrid[: 4 * SIDE, : 4 * SIDE] + 0.5) / 4 - 0.5 - (SIDE - 1) / 2
     x = u * across[0] + v * across[1]
@@ -27,7 +27,7 @@ def shaded_edge(angle_deg: float, dark: float, bright: float) -> tuple[np.ndarra
 
 
 def longest(segments: Segments, across: np.ndarray) -> tuple[float, float, str]:
-    """(offset toward the bright side, its claimed sigma, reason) of the longest segment."""
+    """(offset toward the bright side, its reported sigma, reason) of the longest segment."""
     ends = np.asarray(segments.endpoints_px)
     best = int(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).argmax())
     offset = float((ends[best].mean(axis=0) - (SIDE - 1) / 2) @ across)
@@ -43,17 +43,17 @@ def test_a_slope_on_one_side_moves_an_edge_less_than_it_would_and_as_far_as_is_c
     angle_deg: float, dark: float, bright: float
 ) -> None:
     picture, across = shaded_edge(angle_deg, dark, bright)
-    left, _, _ = longest(find_segments(picture, tuning=UNSHADED), across)
+    uncorrected, _, _ = longest(find_segments(picture, tuning=UNSHADED), across)
     offset, sigma, reason = longest(find_segments(picture), across)
-    assert left * (bright - dark) > 0
-    assert abs(offset) < abs(left)
+    assert uncorrected * (bright - dark) > 0
+    assert abs(offset) < abs(uncorrected)
     assert abs(offset) < 3 * sigma
     assert reason == "shaded"
 
 
 def test_an_edge_between_even_sides_stays_where_it_is() -> None:
     picture, across = shaded_edge(20.0, 0.0, 0.0)
-    left, alone, _ = longest(find_segments(picture, tuning=UNSHADED), across)
+    uncorrected, uncorrected_sigma, _ = longest(find_segments(picture, tuning=UNSHADED), across)
     offset, sigma, _ = longest(find_segments(picture), across)
-    assert offset == pytest.approx(left, abs=0.01)
-    assert sigma == pytest.approx(alone, abs=0.01)
+    assert offset == pytest.approx(uncorrected, abs=0.01)
+    assert sigma == pytest.approx(uncorrected_sigma, abs=0.01)

@@ -1,4 +1,4 @@
-"""The claimed covariance against the scatter over noise."""
+"""The reported covariance agrees with the scatter over noise."""
 
 import numpy as np
 import pytest
@@ -48,13 +48,17 @@ def test_errors_scatter_as_the_covariance_says(step: float, noise: float, blur_p
 
 
 def test_the_variance_of_a_line_is_more_than_its_noise_and_never_nothing() -> None:
-    """By the choice of points, and by what the model of an edge leaves out, less on long ones."""
+    """The choice of points and the model error add variance, the latter less on long lines."""
     noise_px2 = np.array([0.0, 0.0, 1e-2, 1e-2])
-    found = noise_variance(noise_px2, np.array([1e12, 20.0, 1e12, 20.0]))
-    assert found[0] == pytest.approx(DEFAULT.errors.model_sigma_px**2)
-    np.testing.assert_allclose(found[2:] - found[:2], DEFAULT.errors.noise_excess * noise_px2[2:])
+    variance_px2 = noise_variance(noise_px2, np.array([1e12, 20.0, 1e12, 20.0]))
+    assert variance_px2[0] == pytest.approx(DEFAULT.errors.model_sigma_px**2)
+    np.testing.assert_allclose(
+        variance_px2[2:] - variance_px2[:2], DEFAULT.errors.noise_excess * noise_px2[2:]
+    )
     assert DEFAULT.errors.noise_excess > 1
-    assert found[1] - found[0] == pytest.approx(DEFAULT.errors.model_sigma_per_pixel**2 / 20)
+    assert variance_px2[1] - variance_px2[0] == pytest.approx(
+        DEFAULT.errors.model_sigma_per_pixel**2 / 20
+    )
 
 
 def test_positions_have_no_bias_toward_either_side() -> None:
@@ -79,11 +83,11 @@ def test_a_saturated_bright_side_widens_the_covariance_and_says_so() -> None:
     assert segments.reasons[longest] == "saturated"
     clear = find_segments(np.clip(np.rint(0.5 * (grey + noise)), 0, 255).astype(np.uint8))
     normal = np.array([np.cos(0.3), np.sin(0.3)] * 2) / 2
-    seen, whole = (
-        normal @ np.asarray(found.covariance_px2)[int(np.argmax(found.length_px))] @ normal
-        for found in (segments, clear)
+    saturated_variance, clear_variance = (
+        normal @ np.asarray(detected.covariance_px2)[int(np.argmax(detected.length_px))] @ normal
+        for detected in (segments, clear)
     )
-    assert seen > 4 * whole
+    assert saturated_variance > 4 * clear_variance
 
 
 def test_a_saturated_edge_lies_within_its_sigmas_of_where_it_is() -> None:
@@ -147,7 +151,7 @@ def test_what_disturbs_a_line_widens_it_and_is_named() -> None:
     shifted = Shifts(one, one)
     alone = ErrorModel(*(part[:1] for part in disturbed))
     for saturated, shaded, name in ((shifted, calm, "saturated"), (calm, shifted, "shaded")):
-        first, second = (Shifts(*(part[:1] for part in each)) for each in (saturated, shaded))
+        first, second = (Shifts(*(part[:1] for part in shifts)) for shifts in (saturated, shaded))
         variance, common, reasons = inflate_variance(alone, noise_px2[:1], first, second)
         assert (variance, common) == (noise_px2[0], 1.0)
         assert reasons.tolist() == [name]

@@ -1,4 +1,4 @@
-"""Rigs whose truth is known."""
+"""Synthetic rigs: table 1 of the paper, and random rigs."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,8 @@ def test_table_1_is_the_paper_s():
     rig = table1_rig()
     assert rig.names == ("upper", "left", "right")
     for name, camera in rig.items():
-        found = (camera.pan_deg, camera.tilt_deg, camera.swing_deg, camera.distance_mm)
-        assert found == pytest.approx(TABLE_1[name], abs=1e-9)
+        parameters = (camera.pan_deg, camera.tilt_deg, camera.swing_deg, camera.distance_mm)
+        assert parameters == pytest.approx(TABLE_1[name], abs=1e-9)
         assert camera.image_size_px == (512, 480)
         assert camera.intrinsics.focal_length_px == pytest.approx([16 / 0.0162, 16 / 0.0134])
 
@@ -32,8 +32,8 @@ def test_resolution_divides_each_pixel_and_keeps_the_field_of_view(resolution):
 @pytest.mark.parametrize("wide", [False, True])
 def test_random_rigs_repeat_by_seed_and_look_at_the_origin(wide):
     for seed in range(10):
-        rig, again = random_rig(seed, wide=wide), random_rig(seed, wide=wide)
-        np.testing.assert_array_equal(rig.matrices_px, again.matrices_px)
+        rig, same_seed = random_rig(seed, wide=wide), random_rig(seed, wide=wide)
+        np.testing.assert_array_equal(rig.matrices_px, same_seed.matrices_px)
         for _, camera in rig.items():
             np.testing.assert_allclose(project(camera, np.zeros(3)), [255.5, 239.5], atol=1e-9)
             assert 20 <= camera.tilt_deg <= 80

@@ -1,4 +1,4 @@
-"""Hidden line removal: its laws."""
+"""Laws of the removal of hidden lines."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ SEEDS = st.integers(0, 10_000)
 
 
 def is_visible(camera, point_mm, triangles_mm):
-    """Whether a point lies in the image and no triangle hides it."""
+    """True if the point lies in the image and no triangle hides it."""
     alone = np.stack([point_mm, point_mm])[None]
     return len(visible_parts(camera, alone, triangles_mm).segment) > 0
 
@@ -130,12 +130,12 @@ def test_samples_agree_with_rays(seed):
         if len(extents) and np.abs(extents - position).min() < 1e-3:
             continue
         point = points_along(scene.edges_mm[[index]], np.array([[position]]))[0, 0]
-        said = bool(np.any((extents[:, 0] < position) & (position < extents[:, 1])))
-        assert said == _ray_is_free(camera, point, scene.triangles_mm)
+        is_shown = bool(np.any((extents[:, 0] < position) & (position < extents[:, 1])))
+        assert is_shown == _ray_is_free(camera, point, scene.triangles_mm)
 
 
 def _ray_is_free(camera, point, triangles):
-    """By Moeller and Trumbore's intersection of a ray and a triangle, and the picture's frame."""
+    """True if the point is visible, by the ray-triangle intersection of Moeller and Trumbore."""
     u, v, w = camera.matrix_px @ np.append(point, 1.0)
     if not (-0.5 < u / w < 511.5 and -0.5 < v / w < 479.5):
         return False
@@ -157,9 +157,9 @@ def _ray_is_free(camera, point, triangles):
 def test_what_leaves_the_picture_or_lies_behind_the_camera_is_not_seen():
     none = np.zeros((0, 3, 3))
     centre = CAMERA.centre_world_mm
-    beside = np.array([[[0.0, 0.0, 0.0], [5000.0, 0.0, 0.0]]])
-    parts = visible_parts(CAMERA, beside, none)
-    end = points_along(beside, parts.extent[:, 1:])[0, 0]
+    line_mm = np.array([[[0.0, 0.0, 0.0], [5000.0, 0.0, 0.0]]])
+    parts = visible_parts(CAMERA, line_mm, none)
+    end = points_along(line_mm, parts.extent[:, 1:])[0, 0]
     u, _, w = CAMERA.matrix_px @ np.append(end, 1.0)
     assert u / w == pytest.approx(511.5)
     assert not is_visible(CAMERA, 2 * centre, none)
@@ -176,14 +176,14 @@ def test_a_silhouette_is_tangent_and_no_edge():
         assert radius @ (centre[:2] - foot[:2]) == pytest.approx(0.0, abs=1e-9)
         assert top[2] - foot[2] == 30.0
     scene = Scene.of_solids((cylinder,))
-    seen = scene.silhouettes_seen_by(CAMERA)
-    np.testing.assert_allclose(seen, lines, atol=1e-6)
+    silhouettes = scene.silhouettes_seen_by(CAMERA)
+    np.testing.assert_allclose(silhouettes, lines, atol=1e-6)
 
 
 def test_scenes_repeat_by_seed_and_their_solids_stand_apart():
     for seed in range(8):
-        scene, again = block_scene(seed), block_scene(seed)
-        np.testing.assert_array_equal(scene.edges_mm, again.edges_mm)
+        scene, same_seed = block_scene(seed), block_scene(seed)
+        np.testing.assert_array_equal(scene.edges_mm, same_seed.edges_mm)
         assert {s.kind for s in scene.solids} >= {"box", "wedge", "l_block", "cylinder"}
         assert scene.edges_mm[..., 2].min() == pytest.approx(0.0, abs=1e-9)
     assert len(demo_scene().solids) == 6

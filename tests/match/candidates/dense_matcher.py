@@ -1,8 +1,8 @@
-"""The plain way to match three views: every pair against every third segment, in NumPy.
+"""A simple matcher of three views: every pair against every third segment, in NumPy.
 
 Each segment of one view with each of another that shares epipolar planes predicts two points in
 the third view; every segment there within three sigma of both, and overlapping, is a triple;
-the nearest are taken first. No likelihoods, no neighbours, no pairs: what an afternoon gives.
+the nearest are taken first. It uses no likelihoods, no neighbours and no pairs.
 """
 
 import numpy as np
@@ -13,39 +13,41 @@ BLOCK = 256
 def match_densely(
     ends_px: list[np.ndarray], matrices_px: np.ndarray, *, sigma_px: float = 0.5
 ) -> np.ndarray:
-    """(t, 3) segments of each view in every triple taken."""
-    found, score = [], []
+    """Segment numbers in each view of the accepted triples, (t, 3)."""
+    triples_by_first, score = [], []
     fundamental = _fundamental(matrices_px[0], matrices_px[1])
     lines = [_lines(ends) for ends in ends_px]
     for i in range(len(ends_px[0])):
-        # Where the epipolar lines of both ends cut every segment of the second view.
+        # Points where the epipolar lines of both ends cut every segment of the second view.
         across = np.cross(lines[1][:, None], (fundamental @ _homogeneous(ends_px[0][i]).T).T[None])
         partner = across[..., :2] / across[..., 2:]
         along = ends_px[1][:, 1] - ends_px[1][:, 0]
-        place = ((partner - ends_px[1][:, :1]) * along[:, None]).sum(-1)
-        place /= (along**2).sum(-1)[:, None]
-        near = np.flatnonzero((place.max(1) > 0.15) & (place.min(1) < 0.85))
-        if len(near) == 0:
+        share = ((partner - ends_px[1][:, :1]) * along[:, None]).sum(-1)
+        share /= (along**2).sum(-1)[:, None]
+        overlapping = np.flatnonzero((share.max(1) > 0.15) & (share.min(1) < 0.85))
+        if len(overlapping) == 0:
             continue
-        points = _triangulated(matrices_px, ends_px[0][i], partner[near])
+        points = _triangulated(matrices_px, ends_px[0][i], partner[overlapping])
         image = points @ matrices_px[2][:, :3].T + matrices_px[2][:, 3]
         image = image[..., :2] / image[..., 2:]
-        for block in range(0, len(near), BLOCK):
+        for block in range(0, len(overlapping), BLOCK):
             part = image[block : block + BLOCK]
             distance = np.abs(
                 np.einsum("pex,kx->pke", part, lines[2][:, :2]) + lines[2][None, :, 2:]
             ).max(-1)
             step = part[:, 1] - part[:, 0]
             ends = ends_px[2][None] - part[:, None, None, 0]
-            where = (ends * step[:, None, None]).sum(-1) / (step**2).sum(-1)[:, None, None]
-            overlaps = (where.max(-1) > 0.15) & (where.min(-1) < 0.85)
+            end_share = (ends * step[:, None, None]).sum(-1) / (step**2).sum(-1)[:, None, None]
+            overlaps = (end_share.max(-1) > 0.15) & (end_share.min(-1) < 0.85)
             j, k = np.nonzero((distance < 3 * sigma_px) & overlaps)
-            found.append(np.stack([np.full(len(j), i), near[block + j], k], axis=1))
+            triples_by_first.append(
+                np.stack([np.full(len(j), i), overlapping[block + j], k], axis=1)
+            )
             score.append(distance[j, k])
-    triples = np.concatenate(found) if found else np.zeros((0, 3), dtype=int)
+    triples = np.concatenate(triples_by_first) if triples_by_first else np.zeros((0, 3), dtype=int)
     used = [np.zeros(len(ends), dtype=bool) for ends in ends_px]
     taken = []
-    for row in triples[np.argsort(np.concatenate(score))] if found else []:
+    for row in triples[np.argsort(np.concatenate(score))] if triples_by_first else []:
         if not any(used[v][s] for v, s in enumerate(row)):
             taken.append(row)
             for v, s in enumerate(row):
@@ -70,7 +72,7 @@ def _fundamental(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def _triangulated(matrices: np.ndarray, ends: np.ndarray, partner: np.ndarray) -> np.ndarray:
-    """(p, 2, 3) points of both ends with each partner, by linear least squares."""
+    """Points triangulated from both ends and each partner by linear least squares, (p, 2, 3)."""
     rows = []
     for matrix, uv in ((matrices[0], np.broadcast_to(ends, partner.shape)), (matrices[1], partner)):
         rows += [uv[..., :1] * matrix[2] - matrix[0], uv[..., 1:] * matrix[2] - matrix[1]]

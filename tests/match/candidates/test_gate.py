@@ -1,4 +1,4 @@
-"""The gate and the table of cells against a search through all segments of the third view."""
+"""The gate and the table of cells agree with a search through all segments of the third view."""
 
 from typing import NamedTuple
 
@@ -29,7 +29,7 @@ COUNT = 30
 
 
 class Dense(NamedTuple):
-    """Predictions p of all pairs against all segments k: (p, k) where not of pairs alone."""
+    """Predictions of all pairs p and all segments k: arrays (p, k), or (p,) for pairs alone."""
 
     predictions: Prediction
     keys: np.ndarray
@@ -60,42 +60,49 @@ def predicted_and_gated(lines, grid, ends_px, line):
 
 @pytest.fixture(scope="module")
 def table(noisy: MadeScene):
-    return index_segments(noisy.seen.lines, THIRD, COUNT)
+    return index_segments(noisy.inputs.lines, THIRD, COUNT)
 
 
 @pytest.fixture(scope="module")
 def dense(noisy: MadeScene, table) -> Dense:
     lines = noisy.table
     ends, line = lines.ends_px[THIRD, :COUNT], lines.line[THIRD, :COUNT]
-    found = predicted_and_gated(noisy.seen.lines, table.grid, ends, line)
-    guess, keys, passes = jax.tree.map(np.asarray, found)
-    where = np.stack([guess.u0, guess.v0, guess.u1, guess.v1], axis=1).reshape(-1, 1, 2, 2)
+    prediction_of_all = predicted_and_gated(noisy.inputs.lines, table.grid, ends, line)
+    guess, keys, passes = jax.tree.map(np.asarray, prediction_of_all)
+    predicted_px = np.stack([guess.u0, guess.v0, guess.u1, guess.v1], axis=1).reshape(-1, 1, 2, 2)
     with np.errstate(invalid="ignore", divide="ignore"):
-        step = where[:, :, 1] - where[:, :, 0]
-        place = ((ends - where[:, :, :1]) * step[:, :, None]).sum(-1)
-        place = place / (step**2).sum(-1)[..., None]
-        begin = np.maximum(place.min(axis=2), 0.0)
-        end = np.minimum(place.max(axis=2), 1.0)
-        chi_square = misfit(guess, where, place, begin, end, line, lines.across_px2[THIRD, :COUNT])
-        shorter = np.minimum(1.0, np.ptp(place, axis=2))
+        step = predicted_px[:, :, 1] - predicted_px[:, :, 0]
+        share = ((ends - predicted_px[:, :, :1]) * step[:, :, None]).sum(-1)
+        share = share / (step**2).sum(-1)[..., None]
+        begin = np.maximum(share.min(axis=2), 0.0)
+        end = np.minimum(share.max(axis=2), 1.0)
+        chi_square = misfit(
+            guess, predicted_px, share, begin, end, line, lines.across_px2[THIRD, :COUNT]
+        )
+        shorter = np.minimum(1.0, np.ptp(share, axis=2))
     overlaps = end - begin > SMALLEST_OVERLAP * shorter
     chi_square = np.where(overlaps & guess.possible[:, None], chi_square, np.inf)
-    return Dense(guess, np.stack(keys), passes, begin, end, chi_square, where[:, 0])
+    return Dense(guess, np.stack(keys), passes, begin, end, chi_square, predicted_px[:, 0])
 
 
-def misfit(guess, where, place, begin, end, line, across_px2) -> np.ndarray:
+def misfit(guess, predicted_px, share, begin, end, line, across_px2) -> np.ndarray:
     """Chi-square of two points of the segment's line, errors interpolated by plain matrices."""
 
-    def weights(at: np.ndarray) -> np.ndarray:
-        return np.stack([1 - at, at], axis=-1)
+    def weights(fraction: np.ndarray) -> np.ndarray:
+        return np.stack([1 - fraction, fraction], axis=-1)
 
     common = np.stack([begin, end], axis=-1)
     on_prediction = weights(common)
-    on_segment = weights((common - place[..., :1]) / (place[..., 1:] - place[..., :1]))
-    off = (where * line[:, None, :2]).sum(-1) + line[:, None, 2]
+    on_segment = weights((common - share[..., :1]) / (share[..., 1:] - share[..., :1]))
+    off = (predicted_px * line[:, None, :2]).sum(-1) + line[:, None, 2]
     residual = (on_prediction @ off[..., None])[..., 0]
-    own = np.stack([guess.c00, guess.c01, guess.c01, guess.c11], axis=1).reshape(-1, 1, 2, 2)
-    covariance = on_prediction @ own @ on_prediction.mT + on_segment @ across_px2 @ on_segment.mT
+    prediction_covariance = np.stack([guess.c00, guess.c01, guess.c01, guess.c11], axis=1).reshape(
+        -1, 1, 2, 2
+    )
+    covariance = (
+        on_prediction @ prediction_covariance @ on_prediction.mT
+        + on_segment @ across_px2 @ on_segment.mT
+    )
     determinant = np.linalg.det(covariance)
     a, b, c = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
     return (
@@ -117,42 +124,44 @@ def test_which_end_of_a_segment_comes_first_means_nothing(
     lines = noisy.table
     ends, line = lines.ends_px[THIRD, :COUNT, ::-1], -lines.line[THIRD, :COUNT]
     # Both ends of each have one variance, and no correlation.
-    passes = predicted_and_gated(noisy.seen.lines, table.grid, np.ascontiguousarray(ends), line)[2]
+    passes = predicted_and_gated(noisy.inputs.lines, table.grid, np.ascontiguousarray(ends), line)[
+        2
+    ]
     np.testing.assert_array_equal(np.asarray(passes), dense.passes)
 
 
 def test_true_partners_pass(noisy: MadeScene, dense: Dense) -> None:
     pair = noisy.true[:, FIRST] * COUNT + noisy.true[:, SECOND]
-    asked = dense.predictions.possible[pair]
-    assert asked.sum() >= 20
-    assert dense.passes[pair, noisy.true[:, THIRD]][asked].all()
+    is_possible = dense.predictions.possible[pair]
+    assert is_possible.sum() >= 20
+    assert dense.passes[pair, noisy.true[:, THIRD]][is_possible].all()
 
 
 def test_the_table_finds_what_is_near_and_nearly_parallel_at_a_sample(
     noisy: MadeScene, table, dense: Dense
 ) -> None:
-    found = np.zeros_like(dense.passes)
-    found[find_segments_near_predictions(table, dense.keys)] = True
+    in_table = np.zeros_like(dense.passes)
+    in_table[find_segments_near_predictions(table, dense.keys)] = True
     guess, lines = dense.predictions, noisy.table
     step = dense.ends_px[:, 1] - dense.ends_px[:, 0]
     length = np.linalg.norm(step, axis=1)
-    line, own_length = lines.line[THIRD, :COUNT], lines.length_px[THIRD, :COUNT]
+    line, segment_length = lines.line[THIRD, :COUNT], lines.length_px[THIRD, :COUNT]
     sigma = np.sqrt(lines.across_px2[THIRD, :COUNT, [0, 1], [0, 1]].max(axis=0))
-    near = np.zeros_like(found)
+    is_near = np.zeros_like(in_table)
     for number, sample in enumerate(SAMPLES):
         point = dense.ends_px[:, 0] + sample * step
         off = np.abs(point @ line[:, :2].T + line[:, 2])
         reach = REACH * np.hypot(np.sqrt(np.maximum(guess.c00, guess.c11))[:, None], sigma)
         covered = (dense.begin <= sample) & (sample <= dense.end) & (off < reach)
         covered &= ((point >= 0) & (point < lines.size_px[THIRD])).all(axis=1)[:, None]
-        near |= covered & ((number == 0) | (length > ONE_SAMPLE_PX))[:, None]
+        is_near |= covered & ((number == 0) | (length > ONE_SAMPLE_PX))[:, None]
     sine = np.abs(step @ line[:, :2].T) / length[:, None]
     slack = np.sqrt(guess.c00 + guess.c11 - 2 * guess.c01) / length
-    near &= np.arcsin(sine) < REACH * (slack[:, None] + np.sqrt(2) * sigma / own_length)
-    expected = dense.passes & near
-    assert found[expected].all()
+    is_near &= np.arcsin(sine) < REACH * (slack[:, None] + np.sqrt(2) * sigma / segment_length)
+    expected = dense.passes & is_near
+    assert in_table[expected].all()
     # So are partners: the gate alone would let segments pass that cross the prediction.
     pair = noisy.true[:, FIRST] * COUNT + noisy.true[:, SECOND]
-    asked = guess.possible[pair]
-    assert expected[pair, noisy.true[:, THIRD]][asked].mean() > 0.9
-    assert found[pair, noisy.true[:, THIRD]][asked].all()
+    is_possible = guess.possible[pair]
+    assert expected[pair, noisy.true[:, THIRD]][is_possible].mean() > 0.9
+    assert in_table[pair, noisy.true[:, THIRD]][is_possible].all()

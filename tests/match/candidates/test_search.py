@@ -1,4 +1,4 @@
-"""The search finds what the gate passes, and nothing else."""
+"""The search returns exactly the triples that pass the gate."""
 
 import jax
 import numpy as np
@@ -20,13 +20,13 @@ ORDER, COUNT = np.arange(3), 30
 
 
 def found_triples(scene: MadeScene) -> set[tuple[int, ...]]:
-    lines = scene.seen.lines
+    lines = scene.inputs.lines
     inputs = prepare_order(lines, ORDER)[1]
     i, j = np.divmod(np.arange(COUNT * COUNT, dtype=np.int32), COUNT)
     table = index_segments(lines, 2, COUNT)
-    found = gate_triples(lines, inputs, table, i, j, DEFAULT.candidates)
-    assert len(np.unique(found, axis=0)) == len(found)
-    return {tuple(row) for row in found.tolist()}
+    index = gate_triples(lines, inputs, table, i, j, DEFAULT.candidates)
+    assert len(np.unique(index, axis=0)) == len(index)
+    return {tuple(row) for row in index.tolist()}
 
 
 @jax.jit
@@ -48,13 +48,13 @@ def passes_gate(lines: SegmentTable, triple):
 @pytest.mark.parametrize("sigma_px", [0.3, 1e-5])
 def test_all_true_triples_that_the_gate_passes_are_found(sigma_px: float) -> None:
     scene = made_scene(*VIEWS, count=COUNT, seed=5, noise_px=0.5 * sigma_px, sigma_px=sigma_px)
-    _, passes = (np.asarray(x) for x in passes_gate(scene.seen.lines, scene.true))
+    _, passes = (np.asarray(x) for x in passes_gate(scene.inputs.lines, scene.true))
     assert passes.sum() >= 5
     assert found_triples(scene) >= {tuple(row) for row in scene.true[passes].tolist()}
 
 
 def test_what_is_found_passes_gate_precision_too(noisy: MadeScene) -> None:
-    found = np.array(sorted(found_triples(noisy)), dtype=np.int32)[:COUNT]
-    assert len(found) >= 20
-    _, passes = (np.asarray(x) for x in passes_gate(noisy.seen.lines, found))
+    index = np.array(sorted(found_triples(noisy)), dtype=np.int32)[:COUNT]
+    assert len(index) >= 20
+    _, passes = (np.asarray(x) for x in passes_gate(noisy.inputs.lines, index))
     assert passes.all()

@@ -1,4 +1,4 @@
-"""What a pair predicts in a third view is where its line is, as exactly as stated."""
+"""The prediction of a pair in a third view agrees with the image of its line, within its sigmas."""
 
 import jax
 import numpy as np
@@ -13,7 +13,7 @@ FIRST, SECOND, THIRD = 0, 1, 2
 
 @jax.jit
 def predictions(lines: SegmentTable, ends_px, pairs) -> Prediction:
-    """What pairs of views 0 and 1 predict in view 2, with the ends of all segments replaced."""
+    """Predictions in view 2 by pairs of views 0 and 1, with the ends of all segments replaced."""
     lines = lines._replace(ends_px=ends_px)
     planes = build_pencil(lines, np.array(FIRST), np.array(SECOND))
     view = third_view(lines, planes, np.array(THIRD))
@@ -27,12 +27,14 @@ def predictions(lines: SegmentTable, ends_px, pairs) -> Prediction:
 
 def predicted(scene: MadeScene, ends_px: np.ndarray) -> Prediction:
     pairs = np.ascontiguousarray(scene.true[:, [FIRST, SECOND]])
-    return jax.tree.map(np.asarray, predictions(scene.seen.lines, ends_px, pairs))
+    return jax.tree.map(np.asarray, predictions(scene.inputs.lines, ends_px, pairs))
 
 
 def test_exact_pairs_predict_the_image_of_their_line(exact: MadeScene) -> None:
-    found = predicted(exact, exact.table.ends_px)
-    ends = np.stack([found.u0, found.v0, found.u1, found.v1], axis=1).reshape(-1, 2, 2)
+    prediction = predicted(exact, exact.table.ends_px)
+    ends = np.stack([prediction.u0, prediction.v0, prediction.u1, prediction.v1], axis=1).reshape(
+        -1, 2, 2
+    )
     truth = image_px(exact.table.matrix_px[THIRD], exact.lines_mm)
     swap = np.abs(ends - truth).max((1, 2)) > 1.0
     ends = np.where(swap[:, None, None], ends[:, ::-1], ends)
@@ -43,8 +45,11 @@ def test_noisy_pairs_scatter_across_the_image_as_stated(exact: MadeScene) -> Non
     rng, table = np.random.default_rng(4), exact.table
     stated = predicted(exact, table.ends_px)
     exact_ends = np.stack([stated.u0, stated.v0, stated.u1, stated.v1], axis=1).reshape(-1, 2, 2)
-    way = exact_ends[:, 1] - exact_ends[:, 0]
-    normal = np.stack([-way[:, 1], way[:, 0]], axis=1) / np.linalg.norm(way, axis=1)[:, None]
+    direction = exact_ends[:, 1] - exact_ends[:, 0]
+    normal = (
+        np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+        / np.linalg.norm(direction, axis=1)[:, None]
+    )
     sigma = np.sqrt(np.einsum("vnee->vne", table.across_px2))
     # A tenth of the stated errors, at which the projection is as good as linear.
     scale, errors = 0.1, []
@@ -57,13 +62,13 @@ def test_noisy_pairs_scatter_across_the_image_as_stated(exact: MadeScene) -> Non
     covariance = np.stack([stated.c00, stated.c01, stated.c01, stated.c11], axis=1)
     covariance = covariance.reshape(-1, 2, 2)
     assert stated.possible.sum() >= 5
-    known = np.sqrt(stated.c00 + stated.c11) < 6.0
-    square = np.einsum("kni,nij,knj->kn", errors, np.linalg.inv(covariance), errors)[:, known]
+    is_precise = np.sqrt(stated.c00 + stated.c11) < 6.0
+    square = np.einsum("kni,nij,knj->kn", errors, np.linalg.inv(covariance), errors)[:, is_precise]
     assert abs(square.mean() - 2) < 4 * 2 / np.sqrt(square.size)
-    correlation = np.einsum("kni,knj->nij", errors, errors)[known] / len(errors)
-    scatter = covariance[known] / np.sqrt(
-        stated.c00[known, None, None] * stated.c11[known, None, None]
+    correlation = np.einsum("kni,knj->nij", errors, errors)[is_precise] / len(errors)
+    scatter = covariance[is_precise] / np.sqrt(
+        stated.c00[is_precise, None, None] * stated.c11[is_precise, None, None]
     )
-    measured = correlation / np.sqrt(stated.c00 * stated.c11)[known, None, None]
+    measured = correlation / np.sqrt(stated.c00 * stated.c11)[is_precise, None, None]
     size = np.maximum(np.abs(scatter), 1.0)
     np.testing.assert_allclose(measured / size, scatter / size, atol=5 * np.sqrt(2 / len(errors)))

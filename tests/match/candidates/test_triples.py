@@ -1,4 +1,4 @@
-"""Step 1 finds what a search through everything finds, whatever the order of the views."""
+"""Step 1 returns the triples of an exhaustive search, whatever the order of the views."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def test_true_triples_are_candidates(noisy: MadeScene, triples: Candidates) -> N
 
 
 def test_what_the_dense_search_takes_are_candidates(noisy: MadeScene, triples: Candidates) -> None:
-    ends = [np.asarray(view) for view in noisy.seen.ends_px]
+    ends = [np.asarray(view) for view in noisy.inputs.ends_px]
     taken = match_densely(ends, noisy.table.matrix_px, sigma_px=0.3)
     assert len(taken) >= 20
     assert as_set(triples.index) >= as_set(taken)
@@ -39,24 +39,24 @@ def test_no_triple_comes_twice_or_beyond_the_gate(triples: Candidates) -> None:
 def test_the_order_of_views_changes_nothing(
     noisy: MadeScene, clutter: ClutterModel, triples: Candidates, views: tuple[int, int, int]
 ) -> None:
-    again = trinocular_candidates(noisy.seen.lines, views, noisy.seen.counts, clutter)
-    assert as_set(again.index) == as_set(triples.index)
-    one, other = (np.lexsort(found.index.T) for found in (triples, again))
+    reordered = trinocular_candidates(noisy.inputs.lines, views, noisy.inputs.counts, clutter)
+    assert as_set(reordered.index) == as_set(triples.index)
+    one, other = (np.lexsort(candidates.index.T) for candidates in (triples, reordered))
     np.testing.assert_allclose(
-        again.chi_square[other], triples.chi_square[one], rtol=0.05, atol=0.01
+        reordered.chi_square[other], triples.chi_square[one], rtol=0.05, atol=0.01
     )
-    np.testing.assert_allclose(again.log_density[other], triples.log_density[one], atol=0.05)
+    np.testing.assert_allclose(reordered.log_density[other], triples.log_density[one], atol=0.05)
 
 
 def test_ends_in_space_are_those_of_the_lines(exact: MadeScene, clutter: ClutterModel) -> None:
-    found = trinocular_candidates(exact.seen.lines, (0, 1, 2), exact.seen.counts, clutter)
-    row = {tuple(index): n for n, index in enumerate(found.index.tolist())}
+    candidates = trinocular_candidates(exact.inputs.lines, (0, 1, 2), exact.inputs.counts, clutter)
+    row = {tuple(index): n for n, index in enumerate(candidates.index.tolist())}
     true = [row[tuple(index)] for index in exact.true.tolist()]
-    ends = found.ends_mm[true]
+    ends = candidates.ends_mm[true]
     swap = ((ends - exact.lines_mm) ** 2).sum((1, 2)) > 1.0
     ends = np.where(swap[:, None, None], ends[:, ::-1], ends)
     np.testing.assert_allclose(ends, exact.lines_mm, atol=1e-5)
-    np.testing.assert_allclose(found.chi_square[true], 0, atol=1e-9)
+    np.testing.assert_allclose(candidates.chi_square[true], 0, atol=1e-9)
 
 
 def test_depths_are_those_before_each_camera(noisy: MadeScene, triples: Candidates) -> None:
@@ -66,5 +66,5 @@ def test_depths_are_those_before_each_camera(noisy: MadeScene, triples: Candidat
     depth = triples.ends_mm @ third[:, :3].T + third[:, 3]
     low, high = float(np.quantile(depth, 0.1)), float(np.quantile(depth, 0.9))
     expected = ((depth > low) & (depth < high)).all(axis=(1, 2))
-    found = in_depth_range(triples, noisy.seen.lines, (low, high))
-    np.testing.assert_array_equal(found, expected)
+    in_range = in_depth_range(triples, noisy.inputs.lines, (low, high))
+    np.testing.assert_array_equal(in_range, expected)

@@ -15,10 +15,10 @@ def log_evidence(
     across_px2: np.ndarray,
     near_mm: np.ndarray,
 ) -> float:
-    """log of the integral over lines, d(position across) d(direction), of the density of all ends.
+    """Log of the density of all ends, integrated over all lines: position across and direction.
 
-    Lines are given by where they pass two planes across `near_mm` (2, 3), a line near the peak:
-    four numbers, whose measure over the squared distance of the planes is that of position and
+    A line has four parameters: its intersections with two planes across `near_mm` (2, 3), a line
+    near the peak. Their measure over the squared distance of the planes is that of position and
     direction. `ends_px` (v, 2, 2) deviate from the image of the line by N(0, across_px2).
     Gauss-Hermite quadrature about the peak, on the exact projection.
     """
@@ -28,19 +28,19 @@ def log_evidence(
     views = range(len(matrices_px))
 
     def deviations(x: np.ndarray) -> np.ndarray:
-        """(n, v, 2) of the ends from the images of lines x (n, 2, 2)."""
+        """Deviations of the ends from the images of lines x (n, 2, 2), px, (n, v, 2)."""
         image = np.stack([image_px(m, near_mm + x @ basis) for m in matrices_px], axis=1)
-        way = image[:, :, 1] - image[:, :, 0]
-        normal = np.stack([-way[..., 1], way[..., 0]], axis=-1)
+        direction = image[:, :, 1] - image[:, :, 0]
+        normal = np.stack([-direction[..., 1], direction[..., 0]], axis=-1)
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
         return ((ends_px - image[:, :, :1]) * normal[:, :, None]).sum(-1)
 
     peak, steps = np.zeros((1, 2, 2)), 1e-4 * np.eye(4).reshape(4, 2, 2)
     for _ in range(4):
-        here = deviations(peak)[0]
+        peak_deviations = deviations(peak)[0]
         jacobian = (deviations(peak + steps) - deviations(peak - steps)) / 2e-4
         hessian = sum(jacobian[:, v] @ precision[v] @ jacobian[:, v].T for v in views)
-        gradient = sum(jacobian[:, v] @ precision[v] @ here[v] for v in views)
+        gradient = sum(jacobian[:, v] @ precision[v] @ peak_deviations[v] for v in views)
         peak = peak - np.linalg.solve(hessian, gradient).reshape(1, 2, 2)
     # Standard normal coordinates z: x = peak + root z.
     root = np.linalg.inv(np.linalg.cholesky(hessian)).T

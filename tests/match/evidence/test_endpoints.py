@@ -1,4 +1,4 @@
-"""Densities of ends are densities, and know neither views nor places."""
+"""Densities of ends integrate to 1 and do not depend on the views or the position."""
 
 from itertools import permutations
 
@@ -25,7 +25,7 @@ def evidence(extent_px):
 
 
 def logs(extent_px: np.ndarray) -> np.ndarray:
-    """(n, 2, c) of extents (n, 3, 2)."""
+    """Log evidence of the ends of extents (n, 3, 2), (n, 2, c)."""
     return in_blocks(evidence, ROWS, extent_px)
 
 

@@ -1,4 +1,4 @@
-"""EM climbs the likelihood to the parameters that made the data."""
+"""EM raises the likelihood and recovers the parameters of the simulated data."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ USUAL = 10
 
 
 class Made:
-    """Triples of known shares, of which a sixth is known not to be any."""
+    """Triples drawn with known shares of the components; one sixth are no triples."""
 
     def __init__(self) -> None:
         rng = np.random.default_rng(8)
@@ -47,14 +47,14 @@ class Made:
         self.ends_mm = self.middle[:, None] + np.concatenate([half, -half], axis=1)
 
     @staticmethod
-    def outcomes(rng: np.random.Generator, shares: np.ndarray, places: int) -> np.ndarray:
-        """Each component shows its own of as many outcomes four times in five, or any."""
+    def outcomes(rng: np.random.Generator, shares: np.ndarray, columns: int) -> np.ndarray:
+        """Log likelihoods: a component yields its own outcome in four of five draws, else any."""
         kinds = len(shares)
-        seen = rng.choice(kinds, (COUNT, places), p=shares)
-        astray = rng.random(seen.shape) < 0.2
-        seen = np.where(astray, rng.integers(0, kinds, seen.shape), seen)
+        drawn = rng.choice(kinds, (COUNT, columns), p=shares)
+        astray = rng.random(drawn.shape) < 0.2
+        drawn = np.where(astray, rng.integers(0, kinds, drawn.shape), drawn)
         chance = 0.8 * np.eye(kinds) + 0.2 / kinds
-        return np.log(chance[seen] * kinds)
+        return np.log(chance[drawn] * kinds)
 
     def step(self, mixture: MixtureParameters) -> MixtureParameters:
         return em_step(
@@ -62,7 +62,7 @@ class Made:
         )
 
     def log_posterior(self, mixture: MixtureParameters) -> np.ndarray:
-        """Of the shares of tail, ends and sides, with their priors."""
+        """Log posterior of the shares of tail, ends and sides, including the priors."""
         variance = TAIL_SCALES**2
         tail = np.exp(-self.chi_square[:, None] / (2 * variance)) / (2 * np.pi * variance)
         ends, sides = np.exp(self.end_log) @ mixture.ends, np.exp(self.side_log) @ mixture.sides
@@ -77,8 +77,8 @@ class Made:
         )
         return np.array(
             [
-                self.posterior @ each + USUAL * usual @ np.log(share)
-                for each, (share, usual) in zip(data, shares, strict=True)
+                self.posterior @ log_likelihood + USUAL * usual @ np.log(share)
+                for log_likelihood, (share, usual) in zip(data, shares, strict=True)
             ]
         )
 
@@ -97,9 +97,9 @@ def rounds(made: Made) -> list[MixtureParameters]:
 
 
 def test_no_round_lowers_the_likelihood(made: Made, rounds: list[MixtureParameters]) -> None:
-    each = np.array([made.log_posterior(mixture) for mixture in rounds])
-    assert (np.diff(each, axis=0) > -1e-9 * np.abs(each[1:])).all()
-    assert (each[10] > each[0]).all()
+    log_posteriors = np.array([made.log_posterior(mixture) for mixture in rounds])
+    assert (np.diff(log_posteriors, axis=0) > -1e-9 * np.abs(log_posteriors[1:])).all()
+    assert (log_posteriors[10] > log_posteriors[0]).all()
 
 
 def test_the_shares_that_made_the_data_are_learned(
@@ -154,10 +154,10 @@ def test_log_odds_multiply_independent_evidence(made: Made) -> None:
     np.testing.assert_allclose(odds(made.side_log) - plain, sides, atol=1e-9)
     np.testing.assert_allclose(odds(made.side_log, 3.0) - odds(made.side_log), 3.0, atol=1e-9)
     doubled = mixture._replace(log_count=mixture.log_count + np.log(2))
-    again = log_odds(
+    doubled_odds = log_odds(
         made.chi_square, np.zeros(COUNT), made.end_log, made.ends_mm, 0 * made.side_log, doubled
     )
-    np.testing.assert_allclose(again - plain, np.log(2), atol=1e-9)
+    np.testing.assert_allclose(doubled_odds - plain, np.log(2), atol=1e-9)
     np.testing.assert_allclose(probability(plain) + probability(-plain), 1.0)
 
 
@@ -167,7 +167,7 @@ def test_places_are_uniform_in_the_box_and_gaussian_outside():
     reach = np.array([0.5, 0.9 * corner, np.sqrt(corner**2 + 2), np.sqrt(corner**2 + 6)])
     ends = np.zeros((4, 2, 3))
     ends[:, 0, 0] = reach
-    inside, edge, near, far = log_position_density(ends, volume)
+    inside, edge, outside, far_outside = log_position_density(ends, volume)
     assert np.exp(inside) == pytest.approx(1 / 1000 / (2 * np.pi))
     assert edge == inside
-    np.testing.assert_allclose([inside - near, inside - far], [1.0, 3.0])
+    np.testing.assert_allclose([inside - outside, inside - far_outside], [1.0, 3.0])

@@ -1,4 +1,4 @@
-"""Evidence of two places: the integral over all lines, and nothing of the order of views."""
+"""Evidence of the positions of pairs: the integral over all lines, whatever the view order."""
 
 import jax
 import jax.numpy as jnp
@@ -30,9 +30,9 @@ def evidence_of(lines, views, segments, clutter) -> PairEvidence:
 
 @pytest.fixture(scope="module")
 def evidence(precise: MadeScene, clutter: ClutterModel) -> PairEvidence:
-    """Of the true pairs."""
-    found = evidence_of(precise.seen.lines, VIEWS, precise.true[:, VIEWS], clutter)
-    return jax.tree.map(np.asarray, found)
+    """Evidence of the true pairs."""
+    true_pairs = evidence_of(precise.inputs.lines, VIEWS, precise.true[:, VIEWS], clutter)
+    return jax.tree.map(np.asarray, true_pairs)
 
 
 def ends_of(points: tuple) -> np.ndarray:
@@ -42,27 +42,27 @@ def ends_of(points: tuple) -> np.ndarray:
 def test_evidence_is_the_integral_over_all_lines(
     precise: MadeScene, clutter: ClutterModel, evidence: PairEvidence
 ) -> None:
-    table, near, typical = precise.table, ends_of(evidence.ends_mm), float(clutter.typical_px)
+    table, ends_mm, typical = precise.table, ends_of(evidence.ends_mm), float(clutter.typical_px)
     outer = ends_of(evidence.union_ends_mm)
     compared = 0
     for n in np.flatnonzero(evidence.possible):
         row = precise.true[n, VIEWS]
-        seen = VIEWS, row
+        members = VIEWS, row
         # Nearly along epipolar lines, the lines that fit are too many to be nearly straight.
-        if sine_of(table.matrix_px[VIEWS], table.line[seen]) < 0.1:
+        if sine_of(table.matrix_px[VIEWS], table.line[members]) < 0.1:
             continue
         compared += 1
         integral = log_evidence(
-            table.matrix_px[VIEWS], table.ends_px[seen], table.across_px2[seen], near[n]
+            table.matrix_px[VIEWS], table.ends_px[members], table.across_px2[members], ends_mm[n]
         )
-        density = np.asarray(clutter.log_density)[seen]
-        strangers = np.sum(density - np.log(table.length_px[seen]))
+        density = np.asarray(clutter.log_density)[members]
+        strangers = np.sum(density - np.log(table.length_px[members]))
         # Each segment is as long as its ends lie apart on the line.
-        along = near[n, 1] - near[n, 0]
+        along = ends_mm[n, 1] - ends_mm[n, 0]
         along = along / np.linalg.norm(along)
         lengths = [
-            np.ptp([on_line(table, view, segment, end, near[n, 0], along) for end in (0, 1)])
-            for view, segment in zip(*seen, strict=True)
+            np.ptp([on_line(table, view, segment, end, ends_mm[n, 0], along) for end in (0, 1)])
+            for view, segment in zip(*members, strict=True)
         ]
         lengths = np.array(lengths) * evidence.px_per_mm[n]
         one = np.log(typical) - 2 * np.log(typical + lengths)
@@ -81,7 +81,7 @@ def sine_of(matrices_px: np.ndarray, lines_px: np.ndarray) -> float:
 
 
 def on_line(table, view: int, segment: int, end: int, origin, along) -> float:
-    """Position on a line, in mm, nearest to the ray of a segment's end."""
+    """Position on a line nearest to the ray of a segment's end, mm."""
     ray = np.linalg.solve(
         table.matrix_px[view, :, :3], np.append(table.ends_px[view, segment, end], 1.0)
     )
@@ -93,16 +93,16 @@ def test_which_view_comes_first_means_nothing(
     precise: MadeScene, clutter: ClutterModel, evidence: PairEvidence
 ) -> None:
     turn = VIEWS[::-1].copy()
-    again = jax.tree.map(
-        np.asarray, evidence_of(precise.seen.lines, turn, precise.true[:, turn], clutter)
+    swapped = jax.tree.map(
+        np.asarray, evidence_of(precise.inputs.lines, turn, precise.true[:, turn], clutter)
     )
-    np.testing.assert_array_equal(again.possible, evidence.possible)
-    np.testing.assert_allclose(again.log_density, evidence.log_density, atol=1e-8)
+    np.testing.assert_array_equal(swapped.possible, evidence.possible)
+    np.testing.assert_allclose(swapped.log_density, evidence.log_density, atol=1e-8)
     ends = ends_of(evidence.ends_mm)[:, ::-1]
-    np.testing.assert_allclose(ends_of(again.ends_mm), ends, atol=1e-6)
-    np.testing.assert_allclose(again.px_per_mm, evidence.px_per_mm, rtol=1e-9)
-    np.testing.assert_allclose(again.end_log, evidence.end_log[:, ::-1], atol=1e-7)
-    np.testing.assert_array_equal(again.expected_views, evidence.expected_views)
+    np.testing.assert_allclose(ends_of(swapped.ends_mm), ends, atol=1e-6)
+    np.testing.assert_allclose(swapped.px_per_mm, evidence.px_per_mm, rtol=1e-9)
+    np.testing.assert_allclose(swapped.end_log, evidence.end_log[:, ::-1], atol=1e-7)
+    np.testing.assert_array_equal(swapped.expected_views, evidence.expected_views)
 
 
 def test_a_pair_is_expected_where_another_picture_would_show_it(
@@ -117,8 +117,8 @@ def test_a_pair_is_expected_where_another_picture_would_show_it(
 def test_ends_that_agree_are_likelier_than_strangers(
     exact: MadeScene, clutter: ClutterModel
 ) -> None:
-    found = evidence_of(exact.seen.lines, VIEWS, exact.true[:, VIEWS], clutter)
-    end_log = np.array(found.end_log)
+    pairs = evidence_of(exact.inputs.lines, VIEWS, exact.true[:, VIEWS], clutter)
+    end_log = np.array(pairs.end_log)
     assert end_log.shape == (30, 2, len(AGREEING_PX) + 1)
     assert (end_log[:, :, :-1].max(axis=2) > 0).mean() > 0.9
     np.testing.assert_array_equal(end_log[:, :, -1], 0)

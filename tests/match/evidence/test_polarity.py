@@ -1,4 +1,4 @@
-"""Darker sides: the sum over the two ways that a line can be, and over what is not known."""
+"""Darker sides: the likelihood sums over both polarities of a line and over unknown signs."""
 
 from itertools import product
 
@@ -17,10 +17,12 @@ FORWARD = np.tile([0.2, 0.9], (len(SIGNS), 3, 1))
 
 
 def by_enumeration(signs: np.ndarray) -> float:
-    """One line is dark on either side, each member's sign is wrong by chance; strangers' is any."""
-    known = signs[signs != 0]
-    as_one = sum(0.5 * np.prod(np.where(known == dark, 1 - TURNED, TURNED)) for dark in (1, -1))
-    return float(np.log(as_one / 0.5 ** len(known)))
+    """Log evidence: a line has one dark side and some wrong signs; strangers have random signs."""
+    known_signs = signs[signs != 0]
+    as_one = sum(
+        0.5 * np.prod(np.where(known_signs == dark, 1 - TURNED, TURNED)) for dark in (1, -1)
+    )
+    return float(np.log(as_one / 0.5 ** len(known_signs)))
 
 
 def test_evidence_is_the_sum_over_both_sides_of_the_line() -> None:
@@ -29,8 +31,8 @@ def test_evidence_is_the_sum_over_both_sides_of_the_line() -> None:
 
 
 def test_a_likelihood_ratio_is_one_on_average_over_strangers() -> None:
-    known = (SIGNS != 0).all(axis=1)
-    ratio = np.exp(polarity_evidence(SIGNS.T, INDEX, FORWARD)[known])
+    has_all_signs = (SIGNS != 0).all(axis=1)
+    ratio = np.exp(polarity_evidence(SIGNS.T, INDEX, FORWARD)[has_all_signs])
     np.testing.assert_allclose(ratio.mean(), 1.0)
 
 

@@ -1,4 +1,4 @@
-"""Levels beside segments: how they are measured, and what they tell the matcher."""
+"""Levels beside segments: their measurement and the evidence that follows from them."""
 
 import dataclasses
 
@@ -21,12 +21,12 @@ FORWARD, BACKWARD = [0.0, 1.0], [1.0, 0.0]
 
 
 def tables_of(levels: np.ndarray, middles: np.ndarray) -> np.ndarray:
-    """Of three views that show the same."""
+    """Segment tables of three views that show the same."""
     return np.stack(side_table([levels] * 3, [np.full(len(levels), np.nan)] * 3, [middles] * 3))
 
 
 def of_contrasts(seed: int) -> np.ndarray:
-    """The same of segments of which the contrast alone is known."""
+    """The same tables for segments with a contrast and without levels."""
     rng = np.random.default_rng(seed)
     contrast, middles = rng.uniform(5, 200, 40), rng.uniform(0, 400, (40, 2))
     return np.stack(side_table([np.full((40, 2), np.nan)] * 3, [contrast] * 3, [middles] * 3))
@@ -38,7 +38,7 @@ def with_levels(ends: np.ndarray, levels: np.ndarray) -> Segments:
 
 @pytest.fixture(scope="module")
 def table() -> np.ndarray:
-    """Of three views: levels of 40 segments, the same in all."""
+    """Levels of 40 segments, equal in all three views."""
     rng = np.random.default_rng(0)
     levels, middles = rng.uniform(20, 230, (40, 2)), rng.uniform(0, 400, (40, 2))
     return tables_of(levels, middles)
@@ -143,14 +143,14 @@ def test_a_contrast_counts_where_levels_are_not_known_whatever_its_unit() -> Non
 
 
 def of_twins(gain: float = 1.0) -> tuple[Rig, dict[str, Segments]]:
-    """Loose lines, each seen twice: nothing but the levels tells which is which."""
+    """Loose lines, each seen twice: only the levels tell the two copies from each other."""
     rig, lines = rig_of(*VIEWS), loose_lines(20, seed=1)
     rng = np.random.default_rng(3)
     levels = rng.uniform(20, 230, (40, 2))
-    seen = pictures(rig, np.concatenate([lines, lines]), sigma_px=0.3, seed=2)
+    pictures_px = pictures(rig, np.concatenate([lines, lines]), sigma_px=0.3, seed=2)
     return rig, {
         name: with_levels(ends, gain * (levels + rng.normal(0, 1.0, levels.shape)))
-        for name, ends in seen.items()
+        for name, ends in pictures_px.items()
     }
 
 
@@ -159,10 +159,10 @@ def test_levels_tell_lines_apart_whose_geometry_does_not() -> None:
     true = {(k, k, k) for k in range(40)}
     plain = {n: dataclasses.replace(s, side_levels=None) for n, s in segments.items()}
     blind = as_set(match_segments(plain, rig), VIEWS)
-    found = as_set(match_segments(segments, rig), VIEWS)
-    assert len(found & true) > len(blind & true) + 10
-    assert len(found & true) > 0.95 * len(found)
-    assert len(found & true) > 35
+    tracks = as_set(match_segments(segments, rig), VIEWS)
+    assert len(tracks & true) > len(blind & true) + 10
+    assert len(tracks & true) > 0.95 * len(tracks)
+    assert len(tracks & true) > 35
 
 
 def test_order_and_unit_of_levels_change_nothing() -> None:
@@ -176,8 +176,8 @@ def test_order_and_unit_of_levels_change_nothing() -> None:
         )
         for name, s in reversed(segments.items())
     }
-    again = match_segments(turned, rig)
-    assert as_set(again, VIEWS) == as_set(matches, VIEWS)
+    turned_matches = match_segments(turned, rig)
+    assert as_set(turned_matches, VIEWS) == as_set(matches, VIEWS)
     _, scaled = of_twins(gain=1 / 255)
     assert as_set(match_segments(scaled, rig), VIEWS) == as_set(matches, VIEWS)
 

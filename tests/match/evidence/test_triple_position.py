@@ -1,4 +1,4 @@
-"""Evidence of three places: the trifocal tensor, and integration over all lines, say the same."""
+"""Evidence of triples: the trifocal tensor and integration over all lines agree."""
 
 from itertools import permutations
 from typing import Any
@@ -44,10 +44,10 @@ def one_by_one(lines, order, segments, near_mm, clutter) -> TripleEvidence:
 
 
 def evidence_near(lines, order, segments, near_mm, clutter) -> TripleEvidence:
-    """Once, and once more on the fitted line, as the matcher does."""
+    """Evidence on the line, then on the line fitted to it, as the matcher does."""
     first = evidence_on(lines, order, segments, near_mm, clutter)
-    again = evidence_on(lines, order, segments, ends_of(first.ends_mm), clutter)
-    return jax.tree.map(np.asarray, again)
+    on_fitted_line = evidence_on(lines, order, segments, ends_of(first.ends_mm), clutter)
+    return jax.tree.map(np.asarray, on_fitted_line)
 
 
 def ends_of(points: tuple) -> np.ndarray:
@@ -56,18 +56,18 @@ def ends_of(points: tuple) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def evidence(precise: MadeScene, clutter: ClutterModel) -> TripleEvidence:
-    """Of the true triples."""
-    return evidence_near(precise.seen.lines, ORDER, precise.true, precise.lines_mm, clutter)
+    """Evidence of the true triples."""
+    return evidence_near(precise.inputs.lines, ORDER, precise.true, precise.lines_mm, clutter)
 
 
 def test_evidence_is_the_integral_over_all_lines(
     precise: MadeScene, clutter: ClutterModel, evidence: TripleEvidence
 ) -> None:
-    table, near = precise.table, ends_of(evidence.ends_mm)
+    table, ends_mm = precise.table, ends_of(evidence.ends_mm)
     assert evidence.possible.all()
     for n, row in enumerate(precise.true):
         integral = log_evidence(
-            table.matrix_px, table.ends_px[ORDER, row], table.across_px2[ORDER, row], near[n]
+            table.matrix_px, table.ends_px[ORDER, row], table.across_px2[ORDER, row], ends_mm[n]
         )
         # Strangers: places per px^2 and direction per rad, which is the displacement of one end
         # over the length.
@@ -76,12 +76,14 @@ def test_evidence_is_the_integral_over_all_lines(
         extents = np.array([[low[n], high[n]] for low, high in evidence.extent_px])
         ends = log_share_of_lengths(np.diff(extents)[:, 0], float(clutter.typical_px))
         expected = integral - strangers - np.log(evidence.px_per_mm[n]) + ends
-        found = evidence.log_density[n] - 0.5 * evidence.chi_square[n] - np.log(2 * np.pi)
-        np.testing.assert_allclose(found, expected, atol=5e-3)
+        log_evidence_of_triple = (
+            evidence.log_density[n] - 0.5 * evidence.chi_square[n] - np.log(2 * np.pi)
+        )
+        np.testing.assert_allclose(log_evidence_of_triple, expected, atol=5e-3)
 
 
 def log_share_of_lengths(lengths_px: np.ndarray, typical_px: float) -> float:
-    """One line has one length, of which its members show parts with ends anywhere."""
+    """Log share of the lengths: members show parts of one line with ends anywhere on it."""
 
     def density(length: float | np.ndarray) -> np.ndarray:
         return typical_px / (typical_px + np.asarray(length)) ** 2
@@ -92,9 +94,11 @@ def log_share_of_lengths(lengths_px: np.ndarray, typical_px: float) -> float:
 
 
 def test_triples_at_once_are_what_each_is_alone(precise: MadeScene, clutter: ClutterModel) -> None:
-    given = precise.seen.lines, ORDER, precise.true, precise.lines_mm, clutter
+    arguments = precise.inputs.lines, ORDER, precise.true, precise.lines_mm, clutter
     for together, alone in zip(
-        jax.tree.leaves(evidence_on(*given)), jax.tree.leaves(one_by_one(*given)), strict=True
+        jax.tree.leaves(evidence_on(*arguments)),
+        jax.tree.leaves(one_by_one(*arguments)),
+        strict=True,
     ):
         np.testing.assert_allclose(together, alone, rtol=1e-6, atol=1e-9)
 
@@ -142,7 +146,7 @@ def test_misfit_is_that_of_the_line_which_the_trifocal_tensor_transfers(
 
 
 def sine_of(table: Any, row: np.ndarray) -> float:
-    """Of the angle between the planes of sight in the views 1 and 2."""
+    """Sine of the angle between the planes of sight of the views 1 and 2."""
     normal = np.cross(*np.moveaxis(table.rays[ORDER, row], 1, 0))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return float(np.linalg.norm(np.cross(normal[1], normal[2])))
@@ -153,23 +157,23 @@ def test_which_view_comes_first_means_nothing(
     precise: MadeScene, clutter: ClutterModel, evidence: TripleEvidence, order: tuple[int, ...]
 ) -> None:
     turn = np.array(order)
-    again = evidence_near(
-        precise.seen.lines, turn, precise.true[:, turn], precise.lines_mm[:, ::-1] + 0.2, clutter
+    reordered = evidence_near(
+        precise.inputs.lines, turn, precise.true[:, turn], precise.lines_mm[:, ::-1] + 0.2, clutter
     )
-    np.testing.assert_allclose(again.chi_square, evidence.chi_square, rtol=0.01, atol=1e-3)
-    np.testing.assert_allclose(again.log_density, evidence.log_density, atol=0.01)
+    np.testing.assert_allclose(reordered.chi_square, evidence.chi_square, rtol=0.01, atol=1e-3)
+    np.testing.assert_allclose(reordered.log_density, evidence.log_density, atol=0.01)
     ends = ends_of(evidence.ends_mm)[:, ::-1]
-    np.testing.assert_allclose(ends_of(again.ends_mm), ends, atol=0.02)
+    np.testing.assert_allclose(ends_of(reordered.ends_mm), ends, atol=0.02)
 
 
 def test_misfit_of_true_triples_is_chi_square(exact: MadeScene, clutter: ClutterModel) -> None:
-    found = []
+    chi_squares = []
     for seed in range(20):
         pictures_px = pictures(exact.rig, exact.lines_mm, sigma_px=0.3, seed=seed)
         scene = seen_by(exact.rig, exact.lines_mm, pictures_px, 0.3)
-        again = evidence_near(scene.seen.lines, ORDER, scene.true, scene.lines_mm, clutter)
-        found.append(np.asarray(again.chi_square))
-    rank = chi2.cdf(np.concatenate(found), 2)
+        triples = evidence_near(scene.inputs.lines, ORDER, scene.true, scene.lines_mm, clutter)
+        chi_squares.append(np.asarray(triples.chi_square))
+    rank = chi2.cdf(np.concatenate(chi_squares), 2)
     assert abs(rank.mean() - 0.5) < 4 / np.sqrt(12 * len(rank))
     assert abs((rank > 0.9).mean() - 0.1) < 4 * np.sqrt(0.09 / len(rank))
 
@@ -177,16 +181,18 @@ def test_misfit_of_true_triples_is_chi_square(exact: MadeScene, clutter: Clutter
 def test_three_can_be_one_line_where_their_misfit_is_within_the_gate(
     exact: MadeScene, clutter: ClutterModel
 ) -> None:
-    """The same line and the same answer as of all their evidence, which takes longer."""
+    """The fast test returns the same line and answer as the full evidence."""
     pictures_px = pictures(exact.rig, exact.lines_mm, sigma_px=0.3, seed=3)
     scene = seen_by(exact.rig, exact.lines_mm, pictures_px, 0.3)
-    evidence = evidence_on(scene.seen.lines, ORDER, scene.true, scene.lines_mm, clutter)
+    evidence = evidence_on(scene.inputs.lines, ORDER, scene.true, scene.lines_mm, clutter)
     points = vector3(scene.lines_mm[:, 0]), vector3(scene.lines_mm[:, 1])
-    sight = segment_planes(scene.seen.lines, clutter, ORDER, scene.true.T)
+    sight = segment_planes(scene.inputs.lines, clutter, ORDER, scene.true.T)
     gate = float(np.median(evidence.chi_square))
     strict = CandidateTuning(gate=gate)
-    ends, possible = jax.jit(lambda sight, near: line_of_three(sight, near, strict))(sight, points)
+    ends, possible = jax.jit(lambda sight, ends_mm: line_of_three(sight, ends_mm, strict))(
+        sight, points
+    )
     np.testing.assert_array_equal(possible, np.asarray(evidence.chi_square) < gate)
     np.testing.assert_allclose(ends_of(ends), ends_of(evidence.ends_mm), atol=1e-6)
-    whole = jax.jit(lambda sight, near: triple_evidence(sight, near, strict).possible)
-    np.testing.assert_array_equal(whole(sight, points), possible)
+    full_evidence = jax.jit(lambda sight, ends_mm: triple_evidence(sight, ends_mm, strict).possible)
+    np.testing.assert_array_equal(full_evidence(sight, points), possible)

@@ -1,4 +1,4 @@
-"""The rig that lines and corners are seen by."""
+"""The rig that images the lines and corners."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Lines as three views match them, which err as they say."""
+"""Matches of lines in three views, with errors drawn from their covariances."""
 
 import jax
 import numpy as np
@@ -18,21 +18,21 @@ AS_STATED = with_field(MatchTuning(), "collinear.error_shares", (1 - 2e-9, 1e-9,
 
 
 def fitted_covariance(ends_px: np.ndarray, sigma_px: float) -> np.ndarray:
-    """(n, 4, 4) of segments that are lines fitted to points, `sigma_px` each, a pixel apart."""
-    way = ends_px[:, 1] - ends_px[:, 0]
-    length = np.linalg.norm(way, axis=1)
-    way = way / length[:, None]
-    normal = np.stack([-way[:, 1], way[:, 0]], axis=1)
+    """(n, 4, 4) covariances of lines fitted to one point per pixel, with `sigma_px` each."""
+    direction = ends_px[:, 1] - ends_px[:, 0]
+    length = np.linalg.norm(direction, axis=1)
+    direction = direction / length[:, None]
+    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
     across = np.array([[4.0, -2.0], [-2.0, 4.0]]) * (sigma_px**2 / length)[:, None, None]
     spread = np.einsum("nef,ni,nj->neifj", across, normal, normal)
-    along = np.einsum("ef,ni,nj->neifj", np.eye(2), way, way)
+    along = np.einsum("ef,ni,nj->neifj", np.eye(2), direction, direction)
     return (spread + along).reshape(-1, 4, 4)
 
 
 def tracks_of(
     rig: Rig, lines_mm: np.ndarray, *, sigma_px: float = 0.5, seed: int | None = None
 ) -> Matches:
-    """A track of three segments for every line, which err as their covariances say."""
+    """A track of three segments for every line, with errors drawn from their covariances."""
     count = len(lines_mm)
     fragments, covariance = np.zeros((count, 3, 2, 2)), np.zeros((count, 3, 4, 4))
     rng = np.random.default_rng(seed)
@@ -53,13 +53,13 @@ def matches_of(
     assert 0 < count <= ROOM
     rows = np.minimum(np.arange(ROOM), count - 1)
     matrices = np.stack([rig[name].matrix_px for name in VIEWS])
-    found = _triangulated(matrices, fragments[rows], covariance[rows], index[rows] >= 0)
+    triangulated = _triangulated(matrices, fragments[rows], covariance[rows], index[rows] >= 0)
     return Matches(
         VIEWS,
         index,
         fragments,
-        np.asarray(found.ends_mm)[:count],
-        np.asarray(found.covariance_mm2)[:count],
+        np.asarray(triangulated.ends_mm)[:count],
+        np.asarray(triangulated.covariance_mm2)[:count],
         np.full(count, TRINOCULAR),
         np.ones(count),
         np.zeros(count),
@@ -70,7 +70,7 @@ def matches_of(
 
 
 def pieces_of(lines_mm: np.ndarray, *borders: tuple[float, float]) -> np.ndarray:
-    """Parts of all lines, from 0 to 1 along each: all first ones, then all second ones."""
+    """Parts of all lines, from 0 to 1 along each: the first parts of all, then the second parts."""
     parts = [
         lines_mm[:, :1] + np.array(b)[:, None] * (lines_mm[:, 1:] - lines_mm[:, :1])
         for b in borders

@@ -1,4 +1,4 @@
-"""Ends snapped to corners: what holds whatever the scene."""
+"""Laws of ends snapped to corners, valid in every scene."""
 
 import dataclasses
 
@@ -32,11 +32,11 @@ from .made_tracks import (
 
 
 def corners_of_lines(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """(corner of each of `count`, three lines from each (3 count, 2, 3) whose first end it is)."""
+    """Random corners (count, 3), and three lines that start at each corner (3 count, 2, 3)."""
     rng = np.random.default_rng(seed)
     point = rng.uniform([-60, -50, 0], [60, 50, 40], (count, 3))
-    way = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
-    far = point[:, None] + rng.uniform(18, 30, (count, 3, 1)) * way
+    direction = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
+    far = point[:, None] + rng.uniform(18, 30, (count, 3, 1)) * direction
     lines = np.stack([np.broadcast_to(point[:, None], far.shape), far], axis=2)
     return point, lines.reshape(-1, 2, 3)
 
@@ -79,14 +79,14 @@ def test_snapped_ends_meet_and_the_other_lines_stay(rig) -> None:
     # Nothing is known worse across its line for having been held to a corner.
     for line in np.unique(corners.line[np.isin(corners.line, _at_one_corner(corners))]):
         end = int(corners.end[corners.line == line][0])
-        way = joined.lines_mm[line, 1] - joined.lines_mm[line, 0]
-        axes = complete_axes(way / np.linalg.norm(way))
-        own, snapped = (
+        offset = joined.lines_mm[line, 1] - joined.lines_mm[line, 0]
+        axes = complete_axes(offset / np.linalg.norm(offset))
+        unsnapped, snapped = (
             axes @ covariance[line].reshape(2, 3, 2, 3)[end, :, end] @ axes.T
             for covariance in (joined.covariance_mm2, corners.lines_covariance_mm2)
         )
         # But for the few pixels by which the end has moved out.
-        assert np.linalg.eigvalsh(1.3 * own - snapped).min() > 0
+        assert np.linalg.eigvalsh(1.3 * unsnapped - snapped).min() > 0
 
 
 def _at_one_corner(corners: Corners) -> np.ndarray:
@@ -98,14 +98,17 @@ def test_snapping_what_is_snapped_moves_nothing(rig) -> None:
     _, lines = corners_of_lines(10, seed=14)
     joined = lines_alone(tracks_of(rig, lines, seed=9), rig)
     corners = snap_corners(joined)
-    again = snap_corners(dataclasses.replace(joined, lines_mm=corners.lines_mm))
-    assert len(again) >= len(corners) > 7
+    snapped_twice = snap_corners(dataclasses.replace(joined, lines_mm=corners.lines_mm))
+    assert len(snapped_twice) >= len(corners) > 7
     table = {
-        (int(a), int(b)): c for a, b, c in zip(again.line, again.end, again.corner, strict=True)
+        (int(a), int(b)): c
+        for a, b, c in zip(snapped_twice.line, snapped_twice.end, snapped_twice.corner, strict=True)
     }
     for line, end, corner in zip(corners.line, corners.end, corners.corner, strict=True):
         np.testing.assert_allclose(
-            again.points_mm[table[int(line), int(end)]], corners.points_mm[corner], atol=1e-7
+            snapped_twice.points_mm[table[int(line), int(end)]],
+            corners.points_mm[corner],
+            atol=1e-7,
         )
 
 
@@ -114,15 +117,15 @@ def test_odds_of_ends_fall_as_the_density_of_how_near_their_lines_pass(monkeypat
     monkeypatch.setattr(corners_file, "_ROUNDS", 0)
     tuning = with_field(MatchTuning(), "collinear.min_posterior", 1e-9)
     root = np.random.default_rng(3).normal(size=(2, 6, 6))
-    own = 0.02 * root @ root.mT
+    line_covariance = 0.02 * root @ root.mT
 
-    def odds(apart_mm: float, scale: float) -> float:
+    def odds(distance_mm: float, scale: float) -> float:
         lines = np.array([[[0.0, 0, 0], [25, 0, 0]], [[0, 0, 0], [0, 25, 0]]])
-        lines[1, :, 2] = apart_mm
+        lines[1, :, 2] = distance_mm
         one = np.arange(2)
         joined = JoinedLines(
-            lines, scale * own, np.zeros(2), 0 * one, one, np.zeros((2, 2)), 3 + 0.0 * one,
-            np.ones(2),
+            lines, scale * line_covariance, np.zeros(2), 0 * one, one, np.zeros((2, 2)),
+            3 + 0.0 * one, np.ones(2),
         )  # fmt: skip
         ends = line_ends(joined)
         pairs, likely = corner_candidates(ends, joined, tuning)
@@ -130,12 +133,14 @@ def test_odds_of_ends_fall_as_the_density_of_how_near_their_lines_pass(monkeypat
         return float(logit(np.exp(likely[met[0]])))
 
     # Across both, each line is known at its first end as the third number of its covariance.
-    variance = own[:, 2, 2].sum()
+    variance = line_covariance[:, 2, 2].sum()
     for scale in (1.0, 4.0):
         sigma = np.sqrt(scale * variance)
-        for apart_mm in (0.1, 0.4):
-            expected = norm.logpdf(apart_mm, scale=sigma) - norm.logpdf(0, scale=np.sqrt(variance))
-            assert odds(apart_mm, scale) - odds(0.0, 1.0) == pytest.approx(expected, abs=1e-6)
+        for distance_mm in (0.1, 0.4):
+            expected = norm.logpdf(distance_mm, scale=sigma) - norm.logpdf(
+                0, scale=np.sqrt(variance)
+            )
+            assert odds(distance_mm, scale) - odds(0.0, 1.0) == pytest.approx(expected, abs=1e-6)
 
 
 def test_ends_that_pass_each_other_do_not_meet(rig) -> None:
@@ -150,7 +155,7 @@ def test_ends_that_pass_each_other_do_not_meet(rig) -> None:
 
 
 def test_lines_that_meet_at_both_ends_are_held_although_that_is_said_twice() -> None:
-    """Nothing is known amiss along lines: of six conditions on two lines, some say the same."""
+    """Two of the six conditions are redundant: the lines have no variance along themselves."""
     lines = np.array([[[0.0, 0, 0], [9, 0, 0]], [[0, 0.1, 0], [9, 0.2, 0]]])
     across = np.diag([0.0, 0.01, 0.04])
     covariance = np.tile(np.kron(np.eye(2), across), (2, 1, 1))
@@ -164,14 +169,15 @@ def test_along_its_line_an_end_brought_to_a_corner_is_known_to_the_pixels_stated
     lines = np.array([[[1.0, 2.0, 3.0], [4.0, 6.0, 3.0]]])
     root = np.random.default_rng(4).normal(size=(6, 6))
     covariance = 0.01 * (root @ root.T)[None]
-    way, px_per_mm, free_end_px = np.array([0.6, 0.8, 0.0]), 2.0, 7.0
-    own = np.stack([lines[0], lines[0, ::-1]])
+    direction, px_per_mm, free_end_px = np.array([0.6, 0.8, 0.0]), 2.0, 7.0
+    both_orders = np.stack([lines[0], lines[0, ::-1]])
     ends = Ends(
-        lines[0], np.stack([-way, way]), own, np.zeros((2, 6, 6)), np.full(2, px_per_mm)
+        lines[0], np.stack([-direction, direction]), both_orders, np.zeros((2, 6, 6)),
+        np.full(2, px_per_mm),
     )  # fmt: skip
     moved, spread = lines.copy(), covariance.copy()
     _move_end_to_point(moved, spread, ends, 1, lines[0, 1], free_end_px)
     np.testing.assert_allclose(moved, lines)
     expected = covariance[0].copy()
-    expected[3:, 3:] += (free_end_px / px_per_mm) ** 2 * np.outer(way, way)
+    expected[3:, 3:] += (free_end_px / px_per_mm) ** 2 * np.outer(direction, direction)
     np.testing.assert_allclose(spread[0], expected, atol=1e-12)

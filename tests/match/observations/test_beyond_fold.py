@@ -1,4 +1,4 @@
-"""Segments that lie beyond the fold of a lens are left out, and the others are matched."""
+"""Segments beyond the fold of a lens are excluded, and the others are matched."""
 
 import numpy as np
 import pytest
@@ -27,14 +27,14 @@ def test_segments_beyond_the_fold_are_left_out_with_a_note_and_the_others_are_ma
     lens = rig["left"].intrinsics
     assert 290 < lens.valid_radius_px < 310
     inside = bent_pictures(rig, loose_lines(40, 3))
-    kept = np.all([np.isfinite(ends).all(axis=(1, 2)) for ends in inside.values()], axis=0)
-    inside = {name: ends[kept] for name, ends in inside.items()}
+    is_inside = np.all([np.isfinite(ends).all(axis=(1, 2)) for ends in inside.values()], axis=0)
+    inside = {name: ends[is_inside] for name, ends in inside.items()}
     expected = trinoc.match_segments(inside, rig)
     assert len(expected) > 10
     assert not any("one to one" in note for note in expected.notes)
     corner = np.array([[[2.0, 3.0], [40.0, 9.0]], [[0.0, 0.0], [200.0, 180.0]]])
-    given = inside | {"left": np.concatenate([corner, inside["left"]])}
-    matches = trinoc.match_segments(given, rig)
+    with_corner = inside | {"left": np.concatenate([corner, inside["left"]])}
+    matches = trinoc.match_segments(with_corner, rig)
     (note,) = [note for note in matches.notes if "one to one" in note]
     assert f'2 segments of "left" beyond {lens.valid_radius_px:.0f} px' in note
     assert matches.reasons["left"][:2].tolist() == [BEYOND_FOLD] * 2
@@ -51,11 +51,11 @@ def test_a_view_all_of_whose_segments_lie_beyond_has_no_tracks():
     rig = rig_of(*NAMES, distortion=(-1.6,))
     corner = np.array([[[2.0, 3.0], [40.0, 9.0]], [[4.0, 0.0], [4.0, 50.0]]])
     inside = bent_pictures(rig, loose_lines(40, 3))
-    given = {
+    pictures_px = {
         name: corner if name == "left" else ends[np.isfinite(ends).all(axis=(1, 2))]
         for name, ends in inside.items()
     }
-    matches = trinoc.match_segments(given, rig)
+    matches = trinoc.match_segments(pictures_px, rig)
     assert (matches.index[:, matches.views.index("left")] == -1).all()
     assert set(matches.reasons["left"]) == {BEYOND_FOLD}
 

@@ -1,4 +1,4 @@
-"""The matcher's own order: what the caller's order was changes nothing."""
+"""The matcher's own order does not depend on the caller's order."""
 
 import dataclasses
 
@@ -18,16 +18,16 @@ Pictures = dict[str, Segments]
 
 
 @pytest.fixture(scope="module")
-def given(noisy: MadeScene) -> Pictures:
-    """Segments whose ends are known unequally well, with darker sides and levels beside them."""
+def segments(noisy: MadeScene) -> Pictures:
+    """Segments with ends of unequal covariance, darker sides and levels."""
     rng, result = np.random.default_rng(7), {}
     for name, ends in noisy.pictures_px.items():
-        segments = Segments.from_endpoints(ends)
+        table = Segments.from_endpoints(ends)
         root = rng.normal(size=(len(ends), 4, 4))
         levels = rng.uniform(20, 220, (len(ends), 2))
         levels[::2] = np.nan
         result[name] = dataclasses.replace(
-            segments,
+            table,
             covariance_px2=0.1 * (root @ root.mT) + 0.05 * np.eye(4),
             polarity=rng.integers(-1, 2, len(ends)),
             side_levels=levels,
@@ -36,13 +36,13 @@ def given(noisy: MadeScene) -> Pictures:
 
 
 @pytest.fixture(scope="module")
-def seen(noisy: MadeScene, given: Pictures) -> MatchInput:
-    return prepare(given, noisy.rig, None)
+def inputs(noisy: MadeScene, segments: Pictures) -> MatchInput:
+    return prepare(segments, noisy.rig, None)
 
 
-def turned(segments: Segments, order: np.ndarray, swap: np.ndarray) -> Segments:
-    """The same segments in another order, some with their ends the other way round."""
-    s = jax.tree.map(lambda field: field[order], segments)
+def turned(table: Segments, order: np.ndarray, swap: np.ndarray) -> Segments:
+    """The same segments in another order, some with their ends exchanged."""
+    s = jax.tree.map(lambda field: field[order], table)
     covariance = s.covariance_px2.reshape(-1, 2, 2, 2, 2)[:, ::-1, :, ::-1].reshape(-1, 4, 4)
     return dataclasses.replace(
         s,
@@ -54,35 +54,37 @@ def turned(segments: Segments, order: np.ndarray, swap: np.ndarray) -> Segments:
 
 
 def test_order_of_segments_ends_and_views_changes_nothing(
-    noisy: MadeScene, given: Pictures, seen: MatchInput
+    noisy: MadeScene, segments: Pictures, inputs: MatchInput
 ) -> None:
     rng = np.random.default_rng(2)
     ranks = {name: rng.permutation(30) for name in VIEWS}
-    again = prepare(
-        {name: turned(given[name], ranks[name], rng.random(30) < 0.5) for name in VIEWS[::-1]},
+    reordered = prepare(
+        {name: turned(segments[name], ranks[name], rng.random(30) < 0.5) for name in VIEWS[::-1]},
         Rig({name: noisy.rig[name] for name in VIEWS[::-1]}),
         None,
     )
-    assert again.names == seen.names
-    for one, other in zip(seen.lines, again.lines, strict=True):
+    assert reordered.names == inputs.names
+    for one, other in zip(inputs.lines, reordered.lines, strict=True):
         np.testing.assert_array_equal(one, other)
-    for view, name in enumerate(seen.names):
-        np.testing.assert_array_equal(ranks[name][again.order[view]], seen.order[view])
-        np.testing.assert_array_equal(again.covariance_px2[view], seen.covariance_px2[view])
+    for view, name in enumerate(inputs.names):
+        np.testing.assert_array_equal(ranks[name][reordered.order[view]], inputs.order[view])
+        np.testing.assert_array_equal(reordered.covariance_px2[view], inputs.covariance_px2[view])
 
 
-def test_the_caller_s_numbers_lead_back_to_the_segments(given: Pictures, seen: MatchInput) -> None:
-    for view, name in enumerate(seen.names):
-        ends = np.asarray(given[name].endpoints_px)[seen.order[view]]
-        np.testing.assert_array_equal(np.sort(ends, axis=1), np.sort(seen.ends_px[view], axis=1))
-        assert (seen.ends_px[view][:, 0, 0] <= seen.ends_px[view][:, 1, 0]).all()
-    assert seen.counts == [30, 30, 30]
+def test_the_caller_s_numbers_lead_back_to_the_segments(
+    segments: Pictures, inputs: MatchInput
+) -> None:
+    for view, name in enumerate(inputs.names):
+        ends = np.asarray(segments[name].endpoints_px)[inputs.order[view]]
+        np.testing.assert_array_equal(np.sort(ends, axis=1), np.sort(inputs.ends_px[view], axis=1))
+        assert (inputs.ends_px[view][:, 0, 0] <= inputs.ends_px[view][:, 1, 0]).all()
+    assert inputs.counts == [30, 30, 30]
 
 
-def test_tables_hold_what_they_say(noisy: MadeScene, seen: MatchInput) -> None:
-    table = jax.tree.map(np.asarray, seen.lines)
+def test_tables_hold_what_they_say(noisy: MadeScene, inputs: MatchInput) -> None:
+    table = jax.tree.map(np.asarray, inputs.lines)
     np.testing.assert_allclose(np.linalg.norm(table.matrix_px[:, 2, :3], axis=1), 1.0)
-    for view, name in enumerate(seen.names):
+    for view, name in enumerate(inputs.names):
         camera = noisy.rig[name]
         np.testing.assert_allclose(table.centre_mm[view], camera.centre_world_mm, atol=1e-8)
         np.testing.assert_allclose(
@@ -94,18 +96,18 @@ def test_tables_hold_what_they_say(noisy: MadeScene, seen: MatchInput) -> None:
         # Errors of each end across the segment, from the covariance of all four coordinates.
         across = np.zeros((30, 2, 4))
         across[:, 0, :2] = across[:, 1, 2:] = line[:, :2]
-        expected = across @ seen.covariance_px2[view] @ across.mT
+        expected = across @ inputs.covariance_px2[view] @ across.mT
         np.testing.assert_allclose(table.across_px2[view, :30], expected, atol=1e-12)
         image = table.rays[view] @ table.matrix_px[view, :, :3].T
         np.testing.assert_allclose(image[..., :2] / image[..., 2:], table.ends_px[view], atol=1e-7)
 
 
-def test_a_darker_side_is_no_evidence_beside_the_levels_that_show_it(given, seen) -> None:
-    polarity = np.asarray(seen.lines.polarity)
-    for view, name in enumerate(seen.names):
-        order = seen.order[view]
-        of_levels = np.isfinite(np.asarray(given[name].side_levels)[order]).all(axis=1)
-        stated = np.asarray(given[name].polarity)[order]
+def test_a_darker_side_is_no_evidence_beside_the_levels_that_show_it(segments, inputs) -> None:
+    polarity = np.asarray(inputs.lines.polarity)
+    for view, name in enumerate(inputs.names):
+        order = inputs.order[view]
+        of_levels = np.isfinite(np.asarray(segments[name].side_levels)[order]).all(axis=1)
+        stated = np.asarray(segments[name].polarity)[order]
         assert of_levels.any()
         assert (polarity[view, :30][of_levels] == 0).all()
         np.testing.assert_array_equal(
@@ -113,15 +115,15 @@ def test_a_darker_side_is_no_evidence_beside_the_levels_that_show_it(given, seen
         )
 
 
-def test_a_stated_sigma_takes_the_place_of_the_segments_own(noisy: MadeScene, given) -> None:
-    table = prepare(given, noisy.rig, 0.25).lines
+def test_a_stated_sigma_takes_the_place_of_the_segments_own(noisy: MadeScene, segments) -> None:
+    table = prepare(segments, noisy.rig, 0.25).lines
     expected = np.broadcast_to(0.0625 * np.eye(2), (3, 30, 2, 2))
     np.testing.assert_allclose(np.asarray(table.across_px2)[:, :30], expected, atol=1e-12)
 
 
 def test_distortion_is_taken_out_and_put_back(noisy: MadeScene) -> None:
     lens = rig_of("upper", distortion=(-0.2, 0.05))["upper"].intrinsics
-    ends = np.asarray(noisy.seen.ends_px[0])
+    ends = np.asarray(noisy.inputs.ends_px[0])
     bent = distort_pixels(lens, ends)
     assert np.abs(bent - ends).max() > 0.5
     np.testing.assert_allclose(undistort_pixels(lens, bent), ends, atol=1e-6)

@@ -1,4 +1,4 @@
-"""Levels beside segments: what is said of their density is one."""
+"""The density of levels beside segments integrates to one."""
 
 import numpy as np
 import pytest

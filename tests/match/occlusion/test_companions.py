@@ -1,4 +1,4 @@
-"""Companions: who lies beside whom, or goes on from whom, in every picture; what it is worth."""
+"""Companions: neighbours beside or in continuation in every picture, and their log odds."""
 
 import jax
 import numpy as np
@@ -23,12 +23,12 @@ PICTURE = np.array(
 
 
 def neighbours_of(ends_px: np.ndarray, frame: np.ndarray | None = None) -> set[tuple[int, ...]]:
-    found = image_neighbours(ends_px, DEFAULT, frame)
-    return set(zip(*(column.tolist() for column in found), strict=True))
+    columns = image_neighbours(ends_px, DEFAULT, frame)
+    return set(zip(*(column.tolist() for column in columns), strict=True))
 
 
 def pairs_of(index: list[tuple[int, int]]) -> Candidates:
-    """Pairs of two views, each along its segments."""
+    """Pairs of two views that run along their segments."""
     count = len(index)
     empty = jax.tree.map(lambda column: np.zeros((count, *column.shape[1:])), no_candidates(2))
     interval = np.tile([0.0, 1.0], (count, 2, 1))
@@ -36,13 +36,13 @@ def pairs_of(index: list[tuple[int, int]]) -> Candidates:
 
 
 def graph_of(index: list[tuple[int, int]], *pictures: np.ndarray) -> set[tuple[int, ...]]:
-    found = find_companions(pairs_of(index), np.arange(len(index)), np.stack(pictures), DEFAULT)
-    return set(zip(*(column.tolist() for column in found), strict=True))
+    columns = find_companions(pairs_of(index), np.arange(len(index)), np.stack(pictures), DEFAULT)
+    return set(zip(*(column.tolist() for column in columns), strict=True))
 
 
 def test_sides_of_a_bar_and_pieces_that_go_on_are_neighbours() -> None:
-    beside = {(0, 1, BESIDE, 1), (1, 0, BESIDE, 0)}
-    assert neighbours_of(PICTURE) == beside | {(0, 2, CONTINUES, 1), (2, 0, CONTINUES, 0)}
+    side_by_side = {(0, 1, BESIDE, 1), (1, 0, BESIDE, 0)}
+    assert neighbours_of(PICTURE) == side_by_side | {(0, 2, CONTINUES, 1), (2, 0, CONTINUES, 0)}
 
 
 def test_the_picture_may_be_turned_and_ends_change_places() -> None:
@@ -52,7 +52,8 @@ def test_the_picture_may_be_turned_and_ends_change_places() -> None:
     swapped = PICTURE.copy()
     swapped[0] = swapped[0, ::-1]
     expected = {
-        (i, j, kind, 1 - way if i == 0 else way) for i, j, kind, way in neighbours_of(PICTURE)
+        (i, j, kind, 1 - side_or_end if i == 0 else side_or_end)
+        for i, j, kind, side_or_end in neighbours_of(PICTURE)
     }
     assert neighbours_of(swapped) == expected
 
@@ -60,8 +61,8 @@ def test_the_picture_may_be_turned_and_ends_change_places() -> None:
 def test_segments_of_other_frames_are_no_neighbours() -> None:
     twice = np.concatenate([PICTURE, PICTURE])
     once = neighbours_of(PICTURE)
-    again = {(i + 4, j + 4, kind, way) for i, j, kind, way in once}
-    assert neighbours_of(twice, np.repeat([0, 1], 4)) == once | again
+    in_second_frame = {(i + 4, j + 4, kind, side_or_end) for i, j, kind, side_or_end in once}
+    assert neighbours_of(twice, np.repeat([0, 1], 4)) == once | in_second_frame
 
 
 def test_companions_lie_on_the_same_side_in_every_picture() -> None:
@@ -78,16 +79,16 @@ def test_a_pair_that_runs_against_its_segment_has_the_same_companions() -> None:
     second = PICTURE[:, ::-1]
     pairs = pairs_of([(0, 0), (1, 1), (2, 2)])
     pairs.interval[:, 1] = [1.0, 0.0]
-    found = find_companions(pairs, np.arange(3), np.stack([PICTURE, second]), DEFAULT)
+    companions = find_companions(pairs, np.arange(3), np.stack([PICTURE, second]), DEFAULT)
     expected = find_companions(
         pairs_of([(0, 0), (1, 1), (2, 2)]), np.arange(3), np.stack([PICTURE] * 2), DEFAULT
     )
-    for one, other in zip(found, expected, strict=True):
+    for one, other in zip(companions, expected, strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 def in_pairs(count: int) -> Companions:
-    """The first `count` of candidates are companions, two by two."""
+    """Companion graph: the first `count` candidates are companions in pairs."""
     site = np.arange(count)
     return Companions(site, site ^ 1, np.full(count, BESIDE))
 
@@ -113,10 +114,10 @@ def test_where_company_is_by_chance_it_says_nothing() -> None:
 
 def test_nothing_more_is_added_than_may_be() -> None:
     posterior = np.repeat([0.999, 0.001], 100)
-    for most in (4.0, 1.0, 0.0):
-        tuning = with_field(DEFAULT, "occlusion.max_companion_log_odds", most)
+    for max_log_odds in (4.0, 1.0, 0.0):
+        tuning = with_field(DEFAULT, "occlusion.max_companion_log_odds", max_log_odds)
         gain = companion_log_odds(in_pairs(100), posterior, tuning)
-        assert np.abs(gain).max() == pytest.approx(most)
+        assert np.abs(gain).max() == pytest.approx(max_log_odds)
 
 
 def test_each_frame_learns_for_itself() -> None:

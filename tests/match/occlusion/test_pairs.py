@@ -1,4 +1,4 @@
-"""Pairs beside what is matched: never of matched parts, whatever the order of what is matched."""
+"""Pairs of unmatched segments never use matched parts, whatever the order of the tracks."""
 
 import jax
 import numpy as np
@@ -29,8 +29,8 @@ def pairs_beside(
     scene: MadeScene, clutter: ClutterModel, tracks: Tracks, selections: list[Selection], **options
 ) -> Pairs:
     depth_range_mm = options.get("depth_range_mm")
-    seen = scene.seen
-    return occluded_pairs(seen.lines, seen.counts, clutter, tracks, selections, depth_range_mm)
+    inputs = scene.inputs
+    return occluded_pairs(inputs.lines, inputs.counts, clutter, tracks, selections, depth_range_mm)
 
 
 def rows(tracks: Tracks, keep: np.ndarray) -> Tracks:
@@ -45,7 +45,7 @@ def selection(triples: Candidates) -> Selection:
 
 @pytest.fixture(scope="module")
 def tracks(selection: Selection) -> Tracks:
-    """All tracks but the first few, whose segments are left to pairs."""
+    """All tracks but the first few, whose segments are free for pairs."""
     every = selected_tracks(selection)
     return rows(every, np.arange(HIDDEN, len(every.posterior_log_odds)))
 
@@ -58,9 +58,9 @@ def pairs(noisy, clutter, tracks, selection) -> Pairs:
 def test_pairs_have_two_segments_that_are_not_matched(tracks: Tracks, pairs: Pairs) -> None:
     assert len(pairs.is_accepted) > 0
     assert ((pairs.candidates.index >= 0).sum(axis=1) == 2).all()
-    whole = np.abs(np.diff(tracks.candidates.interval, axis=2))[..., 0] > 0.5
+    is_mostly_used = np.abs(np.diff(tracks.candidates.interval, axis=2))[..., 0] > 0.5
     for view in range(3):
-        matched = tracks.candidates.index[whole[:, view], view]
+        matched = tracks.candidates.index[is_mostly_used[:, view], view]
         assert not np.isin(pairs.candidates.index[:, view], matched).any()
 
 
@@ -79,28 +79,28 @@ def test_pairs_that_are_taken_share_no_segment(pairs: Pairs) -> None:
 
 def test_the_order_of_tracks_changes_nothing(noisy, clutter, tracks, selection, pairs) -> None:
     turn = np.random.default_rng(0).permutation(len(tracks.posterior_log_odds))
-    again = pairs_beside(noisy, clutter, rows(tracks, turn), [selection])
-    np.testing.assert_array_equal(again.candidates.index, pairs.candidates.index)
-    np.testing.assert_allclose(again.posterior_log_odds, pairs.posterior_log_odds, atol=1e-9)
+    reordered = pairs_beside(noisy, clutter, rows(tracks, turn), [selection])
+    np.testing.assert_array_equal(reordered.candidates.index, pairs.candidates.index)
+    np.testing.assert_allclose(reordered.posterior_log_odds, pairs.posterior_log_odds, atol=1e-9)
 
 
 def test_where_all_is_matched_there_are_no_pairs(noisy, clutter, tracks, selection) -> None:
-    whole = no_candidates(3)
+    empty = no_candidates(3)
     count = len(noisy.true)
-    matched = jax.tree.map(lambda field: np.zeros((count, *field.shape[1:])), whole)._replace(
+    matched = jax.tree.map(lambda field: np.zeros((count, *field.shape[1:])), empty)._replace(
         index=noisy.true,
         interval=np.tile([0.0, 1.0], (count, 3, 1)),
         union_ends_mm=noisy.lines_mm,
         union_covariance_mm2=np.tile([1.0, 0, 0, 1, 0, 1], (count, 2, 1)),
         px_per_mm=np.full(count, 2.5),
     )
-    every = Tracks(matched, np.full(count, 5.0), np.full(count, -np.inf))
-    assert len(pairs_beside(noisy, clutter, every, [selection]).is_accepted) == 0
+    all_tracks = Tracks(matched, np.full(count, 5.0), np.full(count, -np.inf))
+    assert len(pairs_beside(noisy, clutter, all_tracks, [selection]).is_accepted) == 0
 
 
 def test_depths_bound_pairs_too(noisy, clutter, tracks, selection) -> None:
-    near = pairs_beside(noisy, clutter, tracks, [selection], depth_range_mm=(10.0, 20.0))
-    assert len(near.is_accepted) == 0
+    nearby_pairs = pairs_beside(noisy, clutter, tracks, [selection], depth_range_mm=(10.0, 20.0))
+    assert len(nearby_pairs.is_accepted) == 0
 
 
 def test_what_no_other_picture_could_show_costs_nothing(pairs: Pairs) -> None:
@@ -114,19 +114,19 @@ def test_hidden_lines_that_meet_matched_ones_are_paired(exact: MadeScene) -> Non
     rods = np.stack([foot, foot + rng.uniform(-15, 15, (5, 3)) + [0, 0, 12]], axis=1)
     shown = pictures(exact.rig, np.concatenate([exact.lines_mm, rods]), sigma_px=0.1, seed=8)
     shown["upper"] = shown["upper"][:-5]
-    seen = prepare(shown, exact.rig, 0.1)
-    clutter = fit_clutter(seen.lines, seen.counts)
-    found = trinocular_candidates(seen.lines, (0, 1, 2), seen.counts, clutter)
-    selection = select(found, 33.0)
-    beside = occluded_pairs(
-        seen.lines, seen.counts, clutter, selected_tracks(selection), [selection], None
+    inputs = prepare(shown, exact.rig, 0.1)
+    clutter = fit_clutter(inputs.lines, inputs.counts)
+    candidates = trinocular_candidates(inputs.lines, (0, 1, 2), inputs.counts, clutter)
+    selection = select(candidates, 33.0)
+    hidden_pairs = occluded_pairs(
+        inputs.lines, inputs.counts, clutter, selected_tracks(selection), [selection], None
     )
-    index = beside.candidates.index[beside.is_accepted]
+    index = hidden_pairs.candidates.index[hidden_pairs.is_accepted]
     # By the numbers of the lines, in the order of the rig.
     named = np.stack(
         [
-            np.where(index[:, v] < 0, -1, seen.order[v][index[:, v]])
-            for v in (seen.names.index(name) for name in exact.rig.names)
+            np.where(index[:, v] < 0, -1, inputs.order[v][index[:, v]])
+            for v in (inputs.names.index(name) for name in exact.rig.names)
         ],
         axis=1,
     )
@@ -135,37 +135,37 @@ def test_hidden_lines_that_meet_matched_ones_are_paired(exact: MadeScene) -> Non
 
 
 def test_pairs_that_are_let_go_unseen_change_nothing(noisy, clutter, tracks, selection) -> None:
-    seen, tuning = noisy.seen, with_field(DEFAULT, "scouting.min_segments", 0)
+    inputs, tuning = noisy.inputs, with_field(DEFAULT, "scouting.min_segments", 0)
     tuning = with_field(tuning, "scouting.max_ends_share", 0.0)
-    args = seen.lines, seen.counts, clutter, tracks, [selection], None
+    args = inputs.lines, inputs.counts, clutter, tracks, [selection], None
     one, other = occluded_pairs(*args), occluded_pairs(*args, tuning)
     for every, bounded in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
         np.testing.assert_array_equal(every, bounded)
     views = np.array([0, 1])
-    free = [np.arange(count) for count in seen.counts]
+    free = [np.arange(count) for count in inputs.counts]
     shares = end_shares(selection.mixture, DEFAULT.ends)
-    bound = pair_bound(seen.lines, selection.mixture, shares, DEFAULT)
+    bound = pair_bound(inputs.lines, selection.mixture, shares, DEFAULT)
     assert bound is not None
-    (made,) = possible_pairs(seen.lines, views, free, clutter, DEFAULT)
-    (left,) = possible_pairs(seen.lines, views, free, clutter, DEFAULT, bound)
-    odds = log_odds_among_lines(made, selection.mixture, DEFAULT)
-    likely = {tuple(row) for row in made.index[odds > bound.min_log_odds].tolist()}
-    kept = {tuple(row) for row in left.index.tolist()}
-    assert likely <= kept
-    assert len(kept) <= len(likely) + 1
+    (all_pairs,) = possible_pairs(inputs.lines, views, free, clutter, DEFAULT)
+    (bounded_pairs,) = possible_pairs(inputs.lines, views, free, clutter, DEFAULT, bound)
+    odds = log_odds_among_lines(all_pairs, selection.mixture, DEFAULT)
+    likely = {tuple(row) for row in all_pairs.index[odds > bound.min_log_odds].tolist()}
+    pairs_within_bound = {tuple(row) for row in bounded_pairs.index.tolist()}
+    assert likely <= pairs_within_bound
+    assert len(pairs_within_bound) <= len(likely) + 1
     assert len(likely) < len(odds) / 2
 
 
 def test_pairs_of_which_an_end_agrees_are_few_and_hold_partners(noisy, clutter) -> None:
-    seen, views = noisy.seen, np.array([0, 1])
-    free = [np.arange(count) for count in seen.counts]
+    inputs, views = noisy.inputs, np.array([0, 1])
+    free = [np.arange(count) for count in inputs.counts]
 
     def pairs(ends_px: float | None) -> list[tuple[int, ...]]:
-        found = possible_pairs(seen.lines, views, free, clutter, DEFAULT, None, ends_px)
-        return [tuple(row) for part in found for row in part.index[:, :2].tolist()]
+        parts = possible_pairs(inputs.lines, views, free, clutter, DEFAULT, None, ends_px)
+        return [tuple(row) for part in parts for row in part.index[:, :2].tolist()]
 
-    every, near = pairs(None), pairs(2.0)
-    assert len(set(near)) == len(near) < len(every) / 2
-    assert set(near) <= set(every)
-    partners = {tuple(row) for row in noisy.true[:, :2].tolist()} & set(every)
-    assert len(partners & set(near)) > 0.95 * len(partners) > 10
+    all_pairs, agreeing = pairs(None), pairs(2.0)
+    assert len(set(agreeing)) == len(agreeing) < len(all_pairs) / 2
+    assert set(agreeing) <= set(all_pairs)
+    partners = {tuple(row) for row in noisy.true[:, :2].tolist()} & set(all_pairs)
+    assert len(partners & set(agreeing)) > 0.95 * len(partners) > 10

@@ -1,4 +1,4 @@
-"""Where lines lie: a density that is learned from the others."""
+"""Density of line positions, learned from the other lines."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ COUNT = 4000
 
 
 def strewn(seed: int) -> np.ndarray:
-    """Short lines, even in a box of 80 x 60 x 20 mm."""
+    """Short lines, uniform in a box of 80 x 60 x 20 mm."""
     generator = np.random.default_rng(seed)
     first = generator.uniform([-40, -30, 0], [40, 30, 20], (COUNT, 3))
     return np.stack([first, first + generator.normal(0, 0.1, (COUNT, 3))], axis=1)
@@ -23,18 +23,18 @@ def placed(ends_mm: np.ndarray, posterior: np.ndarray) -> np.ndarray:
 
 
 def test_in_an_even_box_the_density_is_that_of_the_box() -> None:
-    found = placed(strewn(0), np.ones(COUNT))
+    log_density = placed(strewn(0), np.ones(COUNT))
     even = -np.log(80 * 60 * 20 * 2 * np.pi)
-    assert np.median(found) == pytest.approx(even, abs=0.1)
+    assert np.median(log_density) == pytest.approx(even, abs=0.1)
 
 
 def test_a_line_alone_says_nothing_of_where_lines_are() -> None:
     ends = strewn(1)
     ends[0] += [0, 0, 40]  # beyond what the others reach
     posterior = np.ones(COUNT)
-    found, doubted = placed(ends, posterior), placed(ends, np.append(1e-6, posterior[1:]))
-    assert found[0] < np.median(found) - 5
-    assert found[0] == pytest.approx(doubted[0], abs=0.1)
+    log_density, doubted = placed(ends, posterior), placed(ends, np.append(1e-6, posterior[1:]))
+    assert log_density[0] < np.median(log_density) - 5
+    assert log_density[0] == pytest.approx(doubted[0], abs=0.1)
 
 
 def test_density_goes_with_the_scene_as_it_moves_turns_and_grows() -> None:
@@ -54,5 +54,7 @@ def test_frames_of_a_stack_are_profiled_each_for_itself() -> None:
     volume = fit_volume(ends, posterior, frame=frame, frames=2)
     both = log_position_density_among(ends, posterior, volume, DEFAULT, frame)
     for number in range(2):
-        own = frame == number
-        np.testing.assert_allclose(both[own], placed(ends[own], posterior[own]), atol=1e-9)
+        in_frame = frame == number
+        np.testing.assert_allclose(
+            both[in_frame], placed(ends[in_frame], posterior[in_frame]), atol=1e-9
+        )

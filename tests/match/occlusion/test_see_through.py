@@ -1,4 +1,4 @@
-"""How often segments cross: what is solid hides what is behind it."""
+"""Number of crossings of segments: solid bodies hide lines behind them."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ PERFECT = Detector(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def strewn(seed: int, count: int = COUNT) -> np.ndarray:
-    """Segments of 5 to 80 px anywhere, in all directions."""
+    """Random segments of 5 to 80 px, in all positions and directions."""
     generator = np.random.default_rng(seed)
     middle = generator.uniform(0, 500, (count, 1, 2))
     angle, half = generator.uniform(0, np.pi, count), generator.uniform(2.5, 40, count)
@@ -23,8 +23,10 @@ def strewn(seed: int, count: int = COUNT) -> np.ndarray:
 
 
 def test_segments_that_lie_by_chance_cross_as_often_as_expected() -> None:
-    found = np.array([crossings(strewn(seed), np.ones(COUNT), 3.0) for seed in range(20)])
-    crossed, expected = found.sum(axis=0)
+    crossed_and_expected = np.array(
+        [crossings(strewn(seed), np.ones(COUNT), 3.0) for seed in range(20)]
+    )
+    crossed, expected = crossed_and_expected.sum(axis=0)
     # The number is about Poisson's: four standard deviations.
     assert abs(crossed - expected) < 4 * np.sqrt(expected) + 0.02 * expected
 

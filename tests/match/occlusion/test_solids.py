@@ -1,4 +1,4 @@
-"""Edges of solids take each other's place: how that tempers odds, and that they come true."""
+"""Edges of solids are confused with each other: the tempered odds are calibrated."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def of_pairs(sine: float, bodies: Bodies, sides: np.ndarray) -> np.ndarray:
 
 
 def test_lines_that_meet_nowhere_keep_their_odds(noisy) -> None:
-    np.testing.assert_array_equal(of_tracks(noisy.seen.lines, NO_BODIES), ODDS)
+    np.testing.assert_array_equal(of_tracks(noisy.inputs.lines, NO_BODIES), ODDS)
     np.testing.assert_array_equal(of_pairs(0.7, NO_BODIES, UNKNOWN), ODDS)
 
 
@@ -37,7 +37,7 @@ def test_lines_that_meet_nowhere_keep_their_odds(noisy) -> None:
 def test_odds_of_tracks_keep_order_and_sign_and_shrink_as_more_ends_meet(noisy, through) -> None:
     before = ODDS
     for joined in (0.3, 0.6, 1.0):
-        tempered = of_tracks(noisy.seen.lines, Bodies(joined, through))
+        tempered = of_tracks(noisy.inputs.lines, Bodies(joined, through))
         assert (np.diff(tempered) > 0).all()
         assert (np.sign(tempered) == np.sign(ODDS)).all()
         assert (np.abs(tempered) < np.abs(before))[ODDS != 0].all()
@@ -46,7 +46,7 @@ def test_odds_of_tracks_keep_order_and_sign_and_shrink_as_more_ends_meet(noisy, 
 
 def test_where_all_ends_meet_and_nothing_is_seen_through_odds_have_their_temperature(noisy) -> None:
     solid, rules = Bodies(1.0, 0.0), DEFAULT.occlusion
-    tracks = of_tracks(noisy.seen.lines, solid)
+    tracks = of_tracks(noisy.inputs.lines, solid)
     np.testing.assert_allclose(tracks, rules.solid_temperature * ODDS)
     # What the turn takes off is the same for all.
     pairs = of_pairs(0.4, solid, UNKNOWN)

@@ -1,4 +1,4 @@
-"""Pictures of separate lines: each patch of a picture holds an exact blurred step along one."""
+"""Pictures of separate lines: an exact blurred step along each line."""
 
 import numpy as np
 from scipy.special import ndtr
@@ -21,13 +21,13 @@ def image_px(view, points):
 
 
 def lines_of(seed):
-    """Twelve lines, 22 mm long, in all directions, apart from each other in all pictures."""
+    """Twelve lines, 22 mm long, in all directions, that are separate in all pictures."""
     generator = np.random.default_rng(seed)
     x, y = np.meshgrid(np.linspace(-54, 54, 4), np.linspace(-36, 36, 3))
     middle = np.column_stack([x.ravel(), y.ravel(), generator.uniform(0, 8, 12)])
-    way = generator.normal(size=(12, 3)) * np.array([1, 1, 0.3])
-    way /= np.linalg.norm(way, axis=1)[:, None]
-    return np.stack([middle - 11 * way, middle + 11 * way], axis=1)
+    direction = generator.normal(size=(12, 3)) * np.array([1, 1, 0.3])
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    return np.stack([middle - 11 * direction, middle + 11 * direction], axis=1)
 
 
 def light_of(
@@ -39,8 +39,8 @@ def light_of(
     lens: Intrinsics | None = None,
     beside_px: float | np.ndarray = 0.0,
 ):
-    """The light without noise; `blur_px` may be one number per line, and `beside_px`, by which
-    each lies beside its place."""
+    """The light without noise. `blur_px`, and `beside_px`, the offset of each edge to the right
+    of its line, may be one number per line."""
     width, height = RIG[view].image_size_px
     v, u = np.mgrid[:height, :width].astype(float)
     if lens is not None:
@@ -49,8 +49,11 @@ def light_of(
     ends = image_px(view, lines)
     middle = ends.mean(axis=1)
     owner = np.hypot(u[..., None] - middle[:, 0], v[..., None] - middle[:, 1]).argmin(axis=-1)
-    way = ends[:, 1] - ends[:, 0]
-    normal = np.stack([-way[:, 1], way[:, 0]], axis=1) / np.linalg.norm(way, axis=1)[:, None]
+    direction = ends[:, 1] - ends[:, 0]
+    normal = (
+        np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+        / np.linalg.norm(direction, axis=1)[:, None]
+    )
     # Always toward the right of the picture, so that a line has one darker side in all views.
     normal *= np.where(normal[:, :1] < 0, -1, 1)
     off = (u - middle[owner, 0]) * normal[owner, 0] + (v - middle[owner, 1]) * normal[owner, 1]
@@ -66,9 +69,9 @@ def noisy(light, generator, sigma=NOISE):
 
 
 def matches_of(lines, generator, views=VIEWS):
-    """Matches whose lines and segments are off by what they claim."""
+    """Matches whose lines and segments have errors of their reported sigmas."""
     count = len(lines)
-    given = lines + SIGMA_MM * generator.normal(size=lines.shape)
+    noisy_lines = lines + SIGMA_MM * generator.normal(size=lines.shape)
     index = np.tile(np.arange(count)[:, None], (1, len(views)))
     segments = {
         view: Segments.from_endpoints(
@@ -82,7 +85,7 @@ def matches_of(lines, generator, views=VIEWS):
         views,
         index,
         fragments,
-        given,
+        noisy_lines,
         np.tile(SIGMA_MM**2 * np.eye(6), (count, 1, 1)),
         np.full(count, "trinocular"),
         np.full(count, 0.9),

@@ -1,5 +1,5 @@
-"""Laws of the parts: what strips and lines say of their places, the test of two answers, the room
-of a segment."""
+"""Laws of the parts: positions and information of strips and lines, the test of two fits, and the
+free length beside a segment."""
 
 import jax
 import numpy as np
@@ -18,7 +18,7 @@ PLACE_PX = np.array([0.25, -0.15])
 
 
 def strips(noise: float, lines: int = LINES) -> Strips:
-    """Pictures of one step beside lines, that differ by their noise alone."""
+    """Strips of one step that differ only by their noise."""
     row, column = np.mgrid[: BLOCKS * ROWS, :COLUMNS].astype(float)
     across, share = 0.97 * (column - HALF) - 0.02 * row, (row + 0.5) / len(row)
     shift = (1 - share) * PLACE_PX[0] + share * PLACE_PX[1]
@@ -40,39 +40,41 @@ def fitted(of: Strips, known_blur: float, log_blur: float = LOG_BLUR) -> StripFi
 
 
 def test_places_of_strips_scatter_as_their_information_says() -> None:
-    found = fitted(strips(NOISE), known_blur=10.0)
-    off = found.parameters - [*PLACE_PX, LOG_BLUR]
-    square = np.einsum("ni,nij,nj->n", off, found.information, off)
+    fit = fitted(strips(NOISE), known_blur=10.0)
+    off = fit.parameters - [*PLACE_PX, LOG_BLUR]
+    square = np.einsum("ni,nij,nj->n", off, fit.information, off)
     # Three unknowns; the noise of each line is estimated, and blocks off it count a little less.
     assert square.mean() == pytest.approx(3.0, abs=0.6)
-    assert found.chi_square.mean() == pytest.approx(1.0, abs=0.05)
-    assert (found.blocks == BLOCKS).mean() > 0.95
+    assert fit.chi_square.mean() == pytest.approx(1.0, abs=0.05)
+    assert (fit.blocks == BLOCKS).mean() > 0.95
 
 
 def test_what_is_known_of_the_blur_is_used_and_not_handed_on() -> None:
-    """Of two pieces of knowledge as good as each other, pixels and prior, the answer is the mean,
-    and the prior leaves no trace in what the pixels are said to say."""
+    """If pixels and prior are equally informative, the fitted blur is the mean of both. The
+    reported information is that of the pixels alone."""
     same = strips(NOISE)
     free = fitted(same, known_blur=10.0)
     of_blur = 1 / np.linalg.inv(free.information)[:, 2, 2].mean()
-    known = LOG_BLUR + 0.04
-    held = fitted(same, 1 / np.sqrt(of_blur), known)
-    between = (held.parameters[:, 2] - free.parameters[:, 2]) / (known - free.parameters[:, 2])
+    prior_log_blur = LOG_BLUR + 0.04
+    with_prior = fitted(same, 1 / np.sqrt(of_blur), prior_log_blur)
+    between = (with_prior.parameters[:, 2] - free.parameters[:, 2]) / (
+        prior_log_blur - free.parameters[:, 2]
+    )
     assert np.median(between) == pytest.approx(0.5, abs=0.05)
     np.testing.assert_allclose(
-        held.information.mean(axis=0), free.information.mean(axis=0), rtol=0.1, atol=50.0
+        with_prior.information.mean(axis=0), free.information.mean(axis=0), rtol=0.1, atol=50.0
     )
 
 
 def images_of(ends: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(matrices, images of the ends in each view, unit vectors on the right of the images)."""
+    """Projection matrices, images of the ends in each view, and unit normals to their right."""
     rig = table1_rig()
     matrices = np.stack([np.asarray(rig[name].matrix_px) for name in rig.names])
     image = np.einsum("vij,ej->vei", matrices[:, :, :3], ends) + matrices[:, None, :, 3]
-    places = image[..., :2] / image[..., 2:]
-    unit = places[:, 1] - places[:, 0]
+    ends_px = image[..., :2] / image[..., 2:]
+    unit = ends_px[:, 1] - ends_px[:, 0]
     unit /= np.linalg.norm(unit, axis=1)[:, None]
-    return matrices, places, np.stack([-unit[:, 1], unit[:, 0]], axis=1)
+    return matrices, ends_px, np.stack([-unit[:, 1], unit[:, 0]], axis=1)
 
 
 ENDS = np.array([[-10.0, 3.0, 2.0], [25.0, -8.0, 20.0]])
@@ -81,33 +83,35 @@ AXES = np.linalg.svd((ENDS[1] - ENDS[0])[None])[2][1:]
 
 def test_a_line_is_found_again_from_its_images() -> None:
     move = np.array([0.4, -0.2, 0.1, 0.3])
-    matrices, places, _ = images_of(ENDS + move.reshape(2, 2) @ AXES)
+    matrices, ends_px, _ = images_of(ENDS + move.reshape(2, 2) @ AXES)
     # Anywhere along them.
-    along = places + np.array([[[0.1], [-0.3]]]) * (places[:, 1:] - places[:, :1])
+    along = ends_px + np.array([[[0.1], [-0.3]]]) * (ends_px[:, 1:] - ends_px[:, :1])
     # A view that does not see it may hold anything.
     along = np.concatenate([along, np.array([[[3.0, 7.0], [1.0, 2.0]]])])
     every = np.concatenate([matrices, matrices[:1]])
-    covariance, seen = np.tile(np.eye(2), (1, 4, 1, 1)), np.array([[1.0, 1.0, 1.0, 0.0]])
-    found = fit_lines_to_pixels(every, ENDS[None], AXES[None], along[None], covariance, seen)
-    np.testing.assert_allclose(found.move_mm[0], move, atol=1e-8)
-    assert found.misfit[0] < 1e-12
+    covariance, is_visible = np.tile(np.eye(2), (1, 4, 1, 1)), np.array([[1.0, 1.0, 1.0, 0.0]])
+    fit = fit_lines_to_pixels(every, ENDS[None], AXES[None], along[None], covariance, is_visible)
+    np.testing.assert_allclose(fit.move_mm[0], move, atol=1e-8)
+    assert fit.misfit[0] < 1e-12
 
 
 def test_lines_scatter_as_their_covariance_says_and_one_view_alone_says_nothing() -> None:
-    matrices, places, right = images_of(ENDS)
+    matrices, ends_px, right = images_of(ENDS)
     count, generator = 800, np.random.default_rng(5)
-    own = np.array([[0.09, 0.04], [0.04, 0.16]]) * np.array([1.0, 4.0, 0.25])[:, None, None]
-    root = np.linalg.cholesky(own)
+    view_covariance = (
+        np.array([[0.09, 0.04], [0.04, 0.16]]) * np.array([1.0, 4.0, 0.25])[:, None, None]
+    )
+    root = np.linalg.cholesky(view_covariance)
     off = (root @ generator.normal(size=(count, 3, 2, 1)))[..., 0]
-    shown = places + off[..., None] * right[:, None]
+    shown = ends_px + off[..., None] * right[:, None]
     lines = np.tile(ENDS, (count, 1, 1)), np.tile(AXES, (count, 1, 1))
-    covariance = np.tile(own, (count, 1, 1, 1))
-    found = fit_lines_to_pixels(matrices, *lines, shown, covariance, np.ones((count, 3)))
-    weight = np.linalg.inv(found.covariance_mm2)
-    square = np.einsum("ni,nij,nj->n", found.move_mm, weight, found.move_mm)
+    covariance = np.tile(view_covariance, (count, 1, 1, 1))
+    fit = fit_lines_to_pixels(matrices, *lines, shown, covariance, np.ones((count, 3)))
+    weight = np.linalg.inv(fit.covariance_mm2)
+    square = np.einsum("ni,nij,nj->n", fit.move_mm, weight, fit.move_mm)
     assert square.mean() == pytest.approx(4.0, abs=0.35)
     # Six numbers less four unknowns.
-    assert found.misfit.mean() == pytest.approx(2.0, abs=0.3)
+    assert fit.misfit.mean() == pytest.approx(2.0, abs=0.3)
     alone = np.tile([1.0, 0.0, 0.0], (count, 1))
     assert np.isnan(
         fit_lines_to_pixels(matrices, *lines, shown, covariance, alone).covariance_mm2

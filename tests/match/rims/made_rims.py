@@ -1,4 +1,4 @@
-"""Chords of circles as a detector cuts them: at other places in every view."""
+"""Chords of circles, cut at different points in every view, as by a detector."""
 
 import numpy as np
 
@@ -20,16 +20,16 @@ class Ring:
         self.radius_mm = float(radius_mm)
 
     def at(self, angle: np.ndarray) -> np.ndarray:
-        """Points on it."""
+        """Points on the circle at these angles."""
         around = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ complete_axes(self.normal)
         return self.centre_mm + self.radius_mm * around
 
 
 def chords_seen(rig: Rig, rings, lines_mm=None, *, sigma_px=0.0, number=14, seed=0):
-    """Segments of every view: the chords of each ring in turn, then lines."""
+    """Segments of every view: the chords of each ring in turn, then the lines."""
     rng = np.random.default_rng(seed)
     lines_mm = np.zeros((0, 2, 3)) if lines_mm is None else lines_mm
-    found = {}
+    segments = {}
     for view, (name, camera) in enumerate(rig.items()):
         matrix = np.asarray(camera.matrix_px)
         parts = []
@@ -37,17 +37,17 @@ def chords_seen(rig: Rig, rings, lines_mm=None, *, sigma_px=0.0, number=14, seed
             cut = (np.arange(number) + 0.31 * view) * 2 * np.pi / number
             step = 2 * np.pi / number
             angle = cut[:, None] + step * np.array([ON_ARC, 1 - ON_ARC])
-            places = projected(matrix, ring.at(angle))
-            places = places + sigma_px * rng.normal(size=places.shape) / np.sqrt(2)
-            half = (places[:, 1] - places[:, 0]) / (1 - 2 * ON_ARC) / 2
-            middle = places.mean(axis=1)
+            arc_px = projected(matrix, ring.at(angle))
+            arc_px = arc_px + sigma_px * rng.normal(size=arc_px.shape) / np.sqrt(2)
+            half = (arc_px[:, 1] - arc_px[:, 0]) / (1 - 2 * ON_ARC) / 2
+            middle = arc_px.mean(axis=1)
             parts.append(np.stack([middle - half, middle + half], axis=1))
         parts.append(projected(matrix, lines_mm))
-        found[name] = Segments.from_endpoints(np.concatenate(parts), sigma_px=SIGMA_PX)
-    return found
+        segments[name] = Segments.from_endpoints(np.concatenate(parts), sigma_px=SIGMA_PX)
+    return segments
 
 
 def projected(matrix_px: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
-    """Pixels of points."""
+    """Pixels of points (..., 3), (..., 2)."""
     image = points_mm @ matrix_px[:, :3].T + matrix_px[:, 3]
     return image[..., :2] / image[..., 2:]

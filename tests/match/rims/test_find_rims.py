@@ -1,4 +1,4 @@
-"""Rims by their chords: exact ones, noisy ones, none, and the matches that they change."""
+"""Rims from chords: exact chords, noisy chords, no chords, and the changed matches."""
 
 import dataclasses
 
@@ -30,18 +30,18 @@ def test_exact_chords_leave_their_circles(rig) -> None:
     lines = loose_lines(8, seed=1)
     segments = chords_seen(rig, [FLAT, TILTED], lines)
     matches = match_segments(segments, rig)
-    found = find_rims(matches, segments, rig)
-    assert len(found) == 2
+    rims = find_rims(matches, segments, rig)
+    assert len(rims) == 2
     for row, ring in enumerate((FLAT, TILTED)):
         # A chord crosses its ellipse where it crosses the parabola, to the third order.
-        np.testing.assert_allclose(found.centre_mm[row], ring.centre_mm, atol=0.05)
-        assert abs(found.normal[row] @ ring.normal) > 1 - 1e-5
-        assert found.radius_mm[row] == pytest.approx(ring.radius_mm, abs=0.02)
-        assert found.covered[row] > 0.9
-        for chords in found.segments_of(row).values():
+        np.testing.assert_allclose(rims.centre_mm[row], ring.centre_mm, atol=0.05)
+        assert abs(rims.normal[row] @ ring.normal) > 1 - 1e-5
+        assert rims.radius_mm[row] == pytest.approx(ring.radius_mm, abs=0.02)
+        assert rims.covered[row] > 0.9
+        for chords in rims.segments_of(row).values():
             assert sorted(chords.tolist()) == list(range(14 * row, 14 * (row + 1)))
     # Pieces lie on their rims, and do not overlap; tracks of lines are as they were.
-    pieces = found.matches.lines_mm[len(found.kept) :]
+    pieces = rims.matches.lines_mm[len(rims.kept) :]
     off = [
         np.abs(np.linalg.norm(pieces - ring.centre_mm, axis=2) - ring.radius_mm)
         for ring in (FLAT, TILTED)
@@ -50,29 +50,27 @@ def test_exact_chords_leave_their_circles(rig) -> None:
     round_mm = 2 * np.pi * (FLAT.radius_mm + TILTED.radius_mm)
     assert 0.85 * round_mm < np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1).sum() < round_mm
     np.testing.assert_array_equal(
-        found.matches.lines_mm[: len(found.kept)], matches.lines_mm[found.kept]
+        rims.matches.lines_mm[: len(rims.kept)], matches.lines_mm[rims.kept]
     )
     for view in range(3):
-        own = found.matches.index[len(found.kept) :, view]
-        assert set(own.tolist()) <= {-1, *range(28)}
-        on = np.flatnonzero(own >= 0) + len(found.kept)
-        image = projected(
-            np.asarray(rig[matches.views[view]].matrix_px), found.matches.lines_mm[on]
-        )
-        assert np.abs(found.matches.fragments_px[on, view] - image).max() < 2.0
+        piece_segments = rims.matches.index[len(rims.kept) :, view]
+        assert set(piece_segments.tolist()) <= {-1, *range(28)}
+        on = np.flatnonzero(piece_segments >= 0) + len(rims.kept)
+        image = projected(np.asarray(rig[matches.views[view]].matrix_px), rims.matches.lines_mm[on])
+        assert np.abs(rims.matches.fragments_px[on, view] - image).max() < 2.0
 
 
 def test_few_neighbours_and_small_parts_find_the_same(rig, monkeypatch) -> None:
     segments = chords_seen(rig, [FLAT, TILTED], loose_lines(8, seed=1))
     matches = match_segments(segments, rig)
-    whole = find_rims(matches, segments, rig)
+    rims = find_rims(matches, segments, rig)
     for room in (search, support):
         monkeypatch.setattr(room, "ENTRIES_AT_A_TIME", 1000)
     monkeypatch.setattr(search, "MAX_NEIGHBOURS", 12)
-    parts = find_rims(matches, segments, rig)
+    rims_by_parts = find_rims(matches, segments, rig)
     assert len(matches) > 13
-    np.testing.assert_allclose(parts.centre_mm, whole.centre_mm, atol=1e-6)
-    np.testing.assert_array_equal(parts.segment, whole.segment)
+    np.testing.assert_allclose(rims_by_parts.centre_mm, rims.centre_mm, atol=1e-6)
+    np.testing.assert_array_equal(rims_by_parts.segment, rims.segment)
 
 
 def test_errors_are_those_of_their_covariance(rig) -> None:
@@ -80,11 +78,11 @@ def test_errors_are_those_of_their_covariance(rig) -> None:
     matches, squares = match_segments(exact, rig), []
     for seed in range(4):
         segments = chords_seen(rig, [FLAT], sigma_px=0.2, seed=seed)
-        found = find_rims(matches, segments, rig)
-        assert len(found) == 1
-        error = np.array([*(found.centre_mm[0] - FLAT.centre_mm), found.radius_mm[0] - 14.0])
+        rims = find_rims(matches, segments, rig)
+        assert len(rims) == 1
+        error = np.array([*(rims.centre_mm[0] - FLAT.centre_mm), rims.radius_mm[0] - 14.0])
         rows = np.array([0, 1, 2, 6])
-        covariance = found.covariance_mm2[0][np.ix_(rows, rows)]
+        covariance = rims.covariance_mm2[0][np.ix_(rows, rows)]
         squares.append(error @ np.linalg.solve(covariance, error))
     # Four numbers of each of four.
     assert chi2.ppf(0.001, 16) < np.sum(squares) < chi2.ppf(0.999, 16)
@@ -93,22 +91,22 @@ def test_errors_are_those_of_their_covariance(rig) -> None:
 def test_lines_make_no_rims(rig) -> None:
     segments = chords_seen(rig, [], loose_lines(60, seed=3))
     matches = match_segments(segments, rig)
-    found = find_rims(matches, segments, rig)
-    assert len(found) == 0
-    assert len(found.matches) == len(matches)
-    assert not found.matches.marks["silhouette"].any()
+    rims = find_rims(matches, segments, rig)
+    assert len(rims) == 0
+    assert len(rims.matches) == len(matches)
+    assert not rims.matches.marks["silhouette"].any()
 
 
 def test_views_and_segments_in_another_order_leave_the_same(rig) -> None:
     segments = chords_seen(rig, [FLAT], loose_lines(8, seed=1), sigma_px=0.1)
-    found = find_rims(match_segments(segments, rig), segments, rig)
+    rims = find_rims(match_segments(segments, rig), segments, rig)
     turned = {
         name: np.asarray(segments[name].endpoints_px)[::-1, ::-1].reshape(-1, 4)
         for name in reversed(VIEWS)
     }
-    again = find_rims(match_segments(turned, rig, sigma_px=0.2), turned, rig)
-    np.testing.assert_allclose(again.centre_mm, found.centre_mm, atol=1e-3)
-    np.testing.assert_allclose(again.radius_mm, found.radius_mm, atol=1e-3)
+    reordered = find_rims(match_segments(turned, rig, sigma_px=0.2), turned, rig)
+    np.testing.assert_allclose(reordered.centre_mm, rims.centre_mm, atol=1e-3)
+    np.testing.assert_allclose(reordered.radius_mm, rims.radius_mm, atol=1e-3)
 
 
 def test_outlines_below_a_rim_are_marked(rig) -> None:
@@ -137,11 +135,11 @@ def test_outlines_below_a_rim_are_marked(rig) -> None:
         if isinstance(value, np.ndarray)
     }
     rows["index"] = np.concatenate([matches.index, wrong])
-    found = find_rims(dataclasses.replace(matches, **rows), both, rig)
-    assert len(found) == 1
-    held = (found.matches.index >= 14).sum(axis=1) >= 2
-    assert held.sum() == 2
-    np.testing.assert_array_equal(found.matches.marks["silhouette"] > 0.5, held)
+    rims = find_rims(dataclasses.replace(matches, **rows), both, rig)
+    assert len(rims) == 1
+    has_outlines = (rims.matches.index >= 14).sum(axis=1) >= 2
+    assert has_outlines.sum() == 2
+    np.testing.assert_array_equal(rims.matches.marks["silhouette"] > 0.5, has_outlines)
 
 
 def test_views_without_segments_are_named(rig) -> None:
@@ -155,8 +153,10 @@ def test_rims_stand_beside_matches_of_straight_edges(rig) -> None:
     chords = chords_seen(rig, [FLAT], loose_lines(8, seed=1), sigma_px=0.1)
     # The other detector keeps the lines, and of the ring the first two chords.
     segments = {
-        name: np.asarray(each.endpoints_px)[[0, 1, *range(14, len(each))]].reshape(-1, 4)
-        for name, each in chords.items()
+        name: np.asarray(view_chords.endpoints_px)[[0, 1, *range(14, len(view_chords))]].reshape(
+            -1, 4
+        )
+        for name, view_chords in chords.items()
     }
     rims = find_rims(match_segments(chords, rig), chords, rig)
     matches = match_segments(segments, rig)
@@ -165,13 +165,13 @@ def test_rims_stand_beside_matches_of_straight_edges(rig) -> None:
     np.testing.assert_array_equal(joined.matches.lines_mm[:first], matches.lines_mm[joined.kept])
     np.testing.assert_array_equal(joined.matches.index[:first], matches.index[joined.kept])
     assert (joined.matches.index[:first] >= 2)[joined.matches.index[:first] >= 0].all()
-    pieces, own = joined.matches.index[first:], rims.matches.index[len(rims.kept) :]
-    assert len(pieces) == len(own) > 0
+    pieces, rim_pieces = joined.matches.index[first:], rims.matches.index[len(rims.kept) :]
+    assert len(pieces) == len(rim_pieces) > 0
     for view, name in enumerate(matches.views):
-        shown = own[:, view] >= 0
+        shown = rim_pieces[:, view] >= 0
         np.testing.assert_array_equal(
             joined.segments[name].endpoints_px[pieces[shown, view]],
-            chords[name].endpoints_px[own[shown, view]],
+            chords[name].endpoints_px[rim_pieces[shown, view]],
         )
         assert len(joined.matches.reasons[name]) == len(joined.segments[name])
         np.testing.assert_array_equal(
@@ -190,7 +190,7 @@ def test_rims_of_other_views_are_refused(rig) -> None:
 
 
 def brick_wall(seed: int) -> np.ndarray:
-    """(200, 2, 3) short level lines, in rows, of a wall that stands before the cameras."""
+    """(200, 2, 3) short level lines, in rows, of a wall in front of the cameras."""
     random = np.random.default_rng(seed)
     height = np.repeat(np.linspace(-60, 60, 25), 8)
     begin = random.uniform(-80, 60, len(height))
@@ -222,17 +222,20 @@ def test_a_circle_facing_the_camera_is_round_and_one_in_a_plane_through_it_flat(
 
 
 def test_two_views_make_a_rim_of_a_circle_and_none_of_short_arcs(rig) -> None:
-    whole = chords_seen(rig, [FLAT], loose_lines(8, seed=1))
-    two = {name: whole[name] for name in VIEWS[:2]}
+    all_views = chords_seen(rig, [FLAT], loose_lines(8, seed=1))
+    two = {name: all_views[name] for name in VIEWS[:2]}
     matches = match_segments(two, rig)
-    found = find_rims(matches, two, rig)
-    assert len(found) == 1
-    pieces = found.matches.posterior[len(found.kept) :]
+    rims = find_rims(matches, two, rig)
+    assert len(rims) == 1
+    pieces = rims.matches.posterior[len(rims.kept) :]
     np.testing.assert_array_equal(pieces, RimTuning().posterior)
     # A third of each ring, and the lines.
-    part = {name: each.take(np.r_[0:5, 14 : len(each)]) for name, each in two.items()}
-    kept = dataclasses.replace(RimTuning(), min_covered_share=0.1)
-    lax = find_rims(match_segments(part, rig), part, rig, tuning=MatchTuning(rims=kept))
+    part = {
+        name: view_chords.take(np.r_[0:5, 14 : len(view_chords)])
+        for name, view_chords in two.items()
+    }
+    lax_tuning = dataclasses.replace(RimTuning(), min_covered_share=0.1)
+    lax = find_rims(match_segments(part, rig), part, rig, tuning=MatchTuning(rims=lax_tuning))
     assert len(lax) == 1
     assert len(find_rims(match_segments(part, rig), part, rig)) == 0
 

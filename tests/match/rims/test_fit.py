@@ -1,4 +1,4 @@
-"""Circles fitted to chords err as their covariance says, whatever the errors of the chords are."""
+"""Errors of circles fitted to chords agree with their covariance, whatever the chords' errors."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ SIGMA_PX, TRIALS, PARAMETERS = 0.1, 150, 6
 
 
 def chords_round(circle: Circles, views=("upper", "left", "right")) -> Chords:
-    """Chords of arcs all round a circle, whose two places on the arc are exact."""
+    """Chords of arcs all round a circle, with two exact points on each arc."""
     columns = []
     for view, camera in enumerate(rig_of(*views)):
         matrix = np.asarray(rig_of(*views)[camera].matrix_px)
@@ -35,15 +35,15 @@ def chords_round(circle: Circles, views=("upper", "left", "right")) -> Chords:
         half = (on_arc[:, 1] - on_arc[:, 0]) / (2 * GAUSS)
         centre = on_arc.mean(axis=1)
         shares = np.array([-GAUSS, GAUSS, 0.0, -1.0, 1.0])
-        places = centre[:, None] + shares[:, None] * half[:, None]
-        rays = np.concatenate([places, np.ones((*places.shape[:2], 1))], axis=2)
+        points_px = centre[:, None] + shares[:, None] * half[:, None]
+        rays = np.concatenate([points_px, np.ones((*points_px.shape[:2], 1))], axis=2)
         rays = rays @ np.linalg.inv(matrix[:, :3]).T
-        count = len(places)
+        count = len(points_px)
         columns.append(
             Chords(
                 np.full(count, view),
                 np.arange(count),
-                places,
+                points_px,
                 rays / np.linalg.norm(rays, axis=2, keepdims=True),
                 np.tile(-np.linalg.inv(matrix[:, :3]) @ matrix[:, 3], (count, 1)),
                 np.tile(matrix, (count, 1, 1)),
@@ -55,19 +55,19 @@ def chords_round(circle: Circles, views=("upper", "left", "right")) -> Chords:
 
 
 def shifted(chords: Chords, errors_px: np.ndarray) -> Chords:
-    """The chords with their two places on the arc moved across, (n, 2) px."""
-    way = chords.points_px[:, 4] - chords.points_px[:, 3]
-    right = np.stack([-way[:, 1], way[:, 0]], axis=1) / chords.length_px[:, None]
-    places = chords.points_px.copy()
-    places[:, :2] += errors_px[:, :, None] * right[:, None]
-    rays = np.concatenate([places, np.ones((*places.shape[:2], 1))], axis=2)
+    """The chords with their two points on the arc moved across by these errors, (n, 2) px."""
+    chord = chords.points_px[:, 4] - chords.points_px[:, 3]
+    right = np.stack([-chord[:, 1], chord[:, 0]], axis=1) / chords.length_px[:, None]
+    points_px = chords.points_px.copy()
+    points_px[:, :2] += errors_px[:, :, None] * right[:, None]
+    rays = np.concatenate([points_px, np.ones((*points_px.shape[:2], 1))], axis=2)
     rays = np.einsum("nij,nkj->nki", np.linalg.inv(chords.matrix_px[:, :, :3]), rays)
     rays = rays / np.linalg.norm(rays, axis=2, keepdims=True)
-    return chords._replace(points_px=places, rays=rays)
+    return chords._replace(points_px=points_px, rays=rays)
 
 
 def error_of(circle: Circles) -> np.ndarray:
-    """What `move_circle` has to move the fitted circle by to reach the true one."""
+    """Parameters by which `move_circle` moves the fitted circle to the true one."""
     turn = (CIRCLE.normal - circle.normal)[0] @ complete_axes(circle.normal)[0].T
     return np.concatenate(
         [(CIRCLE.centre_mm - circle.centre_mm)[0], turn, CIRCLE.radius_mm - circle.radius_mm]
@@ -75,22 +75,22 @@ def error_of(circle: Circles) -> np.ndarray:
 
 
 def squares(draw) -> np.ndarray:
-    """Squared errors of fits under their covariances, over the number of parameters."""
-    exact, rng, found = chords_round(CIRCLE), np.random.default_rng(0), []
+    """Squared Mahalanobis distances of fits from the truth, over the number of parameters."""
+    exact, rng, normalised_squares = chords_round(CIRCLE), np.random.default_rng(0), []
     for _ in range(TRIALS):
         fit = fit_circle(shifted(exact, draw(rng, (len(exact.view), 2))), CIRCLE)
         error = error_of(fit.circle)
-        found.append(error @ np.linalg.solve(fit.covariance, error) / PARAMETERS)
-    return np.array(found)
+        normalised_squares.append(error @ np.linalg.solve(fit.covariance, error) / PARAMETERS)
+    return np.array(normalised_squares)
 
 
 def heavy(rng, size):
-    """A tenth of the errors is five times as large."""
+    """Normal errors, a tenth of which are five times as large."""
     return SIGMA_PX * rng.normal(size=size) * np.where(rng.random(size) < 0.1, 5.0, 1.0)
 
 
 @pytest.mark.parametrize(
-    ("draw", "least", "most"),
+    ("draw", "smallest", "largest"),
     [
         # As stated: the covariance is enlarged where errors happen to be larger.
         (lambda rng, size: SIGMA_PX * rng.normal(size=size), 0.7, 1.1),
@@ -101,8 +101,8 @@ def heavy(rng, size):
         (heavy, 0.8, 1.4),
     ],
 )
-def test_errors_are_those_of_the_covariance(draw, least, most) -> None:
-    assert least < squares(draw).mean() < most
+def test_errors_are_those_of_the_covariance(draw, smallest, largest) -> None:
+    assert smallest < squares(draw).mean() < largest
 
 
 def test_exact_chords_leave_their_circle_from_beside_it() -> None:
@@ -119,7 +119,7 @@ def test_chords_of_one_place_leave_the_circle_open() -> None:
 
 
 def fitted() -> tuple[Chords, FittedRim]:
-    """A rim whose parameters err by numbers of their own, all with something in common."""
+    """A rim with independent errors of its parameters and one error common to all."""
     chords, root = chords_round(CIRCLE), np.random.default_rng(1).normal(size=(6, 6))
     scale = np.array([0.1, 0.2, 0.3, 0.01, 0.02, 0.15])
     around = circle_offsets(chords, CIRCLE, with_ends=True).nearest_mm[0]

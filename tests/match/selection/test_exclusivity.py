@@ -1,4 +1,4 @@
-"""Beliefs are the exact marginals where the conflicts form a tree."""
+"""Beliefs are the exact marginals if the conflicts form a tree."""
 
 from itertools import product
 
@@ -13,15 +13,15 @@ WHOLE = np.array([0.0, 1.0])
 
 
 def exact_marginals(log_odds: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """By summing over every set of candidates in which no segment is used twice."""
+    """Exact marginals: a sum over every set of candidates that uses no segment twice."""
     weight, total = np.zeros(len(log_odds)), 0.0
-    for chosen in product((False, True), repeat=len(log_odds)):
-        rows = index[list(chosen)]
+    for is_selected in product((False, True), repeat=len(log_odds)):
+        rows = index[list(is_selected)]
         used = [(v, s) for row in rows for v, s in enumerate(row) if s >= 0]
         if len(used) == len(set(used)):
-            w = np.exp(log_odds[list(chosen)].sum())
+            w = np.exp(log_odds[list(is_selected)].sum())
             total += w
-            weight += w * np.array(chosen)
+            weight += w * np.array(is_selected)
     return weight / total
 
 
@@ -45,13 +45,13 @@ def test_parts_that_do_not_overlap_do_not_conflict() -> None:
 
 
 def one_by_one(score: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Taken in order of score, the first of equals first, where no segment is used yet."""
+    """Greedy selection in order of the score. Of equal scores the first comes first."""
     taken, used = np.zeros(len(score), dtype=bool), set()
     for m in np.argsort(-score, kind="stable"):
-        own = set(enumerate(index[m].tolist()))
-        if score[m] > 0 and not own & used:
+        segments = set(enumerate(index[m].tolist()))
+        if score[m] > 0 and not segments & used:
             taken[m] = True
-            used |= own
+            used |= segments
     return taken
 
 
@@ -69,12 +69,14 @@ def test_frames_of_a_stack_settle_as_each_does_alone() -> None:
     # The second frame has hardly a conflict, and settles long before the first.
     index = np.concatenate([rng.integers(0, 8, (30, 3)), 8 + rng.integers(0, 40, (20, 3))])
     log_odds, frame = rng.normal(0, 3, 50), np.repeat([0, 1], [30, 20])
-    whole = np.broadcast_to(WHOLE, (50, 3, 2))
-    both = sum_product(log_odds, conflict_graph(index, whole), frame=frame).log_odds
+    intervals = np.broadcast_to(WHOLE, (50, 3, 2))
+    both = sum_product(log_odds, conflict_graph(index, intervals), frame=frame).log_odds
     for number in (0, 1):
-        own = frame == number
-        alone = sum_product(log_odds[own], conflict_graph(index[own], whole[own])).log_odds
-        np.testing.assert_allclose(both[own], alone, atol=1e-12)
+        in_frame = frame == number
+        alone = sum_product(
+            log_odds[in_frame], conflict_graph(index[in_frame], intervals[in_frame])
+        ).log_odds
+        np.testing.assert_allclose(both[in_frame], alone, atol=1e-12)
 
 
 @given(st.lists(st.floats(-4, 4), min_size=4, max_size=4), st.floats(-2, 2))
@@ -83,8 +85,8 @@ def test_messages_go_on_from_those_under_other_odds(odds: list[float], change: f
     graph = conflict_graph(index, np.broadcast_to(WHOLE, (4, 3, 2)))
     before = sum_product(np.array(odds), graph)
     log_odds = np.array(odds) + change * np.array([1, -1, 1, -1])
-    again = sum_product(log_odds, graph, previous=before).log_odds
-    np.testing.assert_allclose(again, sum_product(log_odds, graph).log_odds, atol=0.05)
+    resumed = sum_product(log_odds, graph, previous=before).log_odds
+    np.testing.assert_allclose(resumed, sum_product(log_odds, graph).log_odds, atol=0.05)
 
 
 @pytest.mark.parametrize("seed", range(3))

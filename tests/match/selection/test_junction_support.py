@@ -1,4 +1,4 @@
-"""Meetings of ends: against all pairs of ends, the same both ways, and learned by EM."""
+"""Meetings of ends: equal to those of all pairs of ends, symmetric, and learned by EM."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ SIGMA_MM = 0.2
 
 @pytest.fixture(scope="module")
 def candidates() -> Candidates:
-    """Lines that start near one of eight corners, every third with a segment of another."""
+    """Lines that start near one of eight corners; every third shares a segment with another."""
     rng = np.random.default_rng(12)
     corner = np.repeat(rng.uniform(-40, 40, (8, 3)), 3, axis=0)
     direction = rng.normal(size=(LINES, 3))
@@ -54,7 +54,7 @@ def graph(candidates: Candidates) -> EndpointPairs:
 
 
 def meeting(candidates: Candidates, site: int, other: int) -> np.ndarray | None:
-    """(k,) log density of two ends that meet, from the feet of the common perpendicular."""
+    """(k,) log densities of a meeting of two ends, from the feet of the common perpendicular."""
     m, n = site // 2, other // 2
     if (candidates.index[m] == candidates.index[n]).any():
         return None
@@ -94,12 +94,12 @@ def test_meetings_are_those_of_all_pairs_of_ends(
                 log_ratio = meeting(candidates, site, other)
                 if log_ratio is not None and log_ratio.max() > -20:
                     expected[site, other] = log_ratio
-    found = dict(
+    graph_ratios = dict(
         zip(zip(graph.end.tolist(), graph.other_end.tolist(), strict=True), graph.log_ratio)
     )
     assert len(expected) > 20
-    assert found.keys() == expected.keys()
-    for ends, log_ratio in found.items():
+    assert graph_ratios.keys() == expected.keys()
+    for ends, log_ratio in graph_ratios.items():
         np.testing.assert_allclose(log_ratio, expected[ends], atol=1e-8)
 
 
@@ -130,7 +130,7 @@ def test_which_end_comes_first_means_nothing(candidates: Candidates, graph: Endp
 def test_odds_are_those_of_a_mixture_at_each_end(graph: EndpointPairs) -> None:
     posterior = np.random.default_rng(1).uniform(0, 1, LINES)
     gain, _ = junction_log_odds(graph, posterior, -9.0, PRIOR_PARAMETERS)
-    at, shares = PRIOR_PARAMETERS.end_at_junction, PRIOR_PARAMETERS.gap_shares
+    at_junction, shares = PRIOR_PARAMETERS.end_at_junction, PRIOR_PARAMETERS.gap_shares
     expected = np.zeros(LINES)
     for end in range(2 * LINES):
         density = sum(
@@ -138,27 +138,27 @@ def test_odds_are_those_of_a_mixture_at_each_end(graph: EndpointPairs) -> None:
             for site, other, log_ratio in zip(*graph, strict=True)
             if site == end
         )
-        expected[end // 2] += np.log(1 - at + at * density)
+        expected[end // 2] += np.log(1 - at_junction + at_junction * density)
     np.testing.assert_allclose(gain, expected, atol=1e-9)
 
 
 def test_no_round_of_learning_lowers_the_likelihood(graph: EndpointPairs) -> None:
     posterior = np.random.default_rng(2).uniform(0.2, 1, LINES)
     weight = np.repeat(posterior, 2)
-    parameters, climbed = PRIOR_PARAMETERS, []
+    parameters, log_posteriors = PRIOR_PARAMETERS, []
     for _ in range(15):
-        at, shares = parameters.end_at_junction, parameters.gap_shares
+        at_junction, shares = parameters.end_at_junction, parameters.gap_shares
         terms = np.exp(graph.log_ratio + 9.0) @ shares * posterior[graph.other_end // 2]
         density = np.bincount(graph.end, terms, minlength=2 * LINES)
         # Five pseudo-ends, of which a half are at a junction, with the usual gaps.
-        prior = (1 - PRIOR_AT_JUNCTION) * np.log(1 - at) + PRIOR_AT_JUNCTION * (
-            np.log(at) + PRIOR_GAPS @ np.log(shares)
+        prior = (1 - PRIOR_AT_JUNCTION) * np.log(1 - at_junction) + PRIOR_AT_JUNCTION * (
+            np.log(at_junction) + PRIOR_GAPS @ np.log(shares)
         )
-        climbed.append(weight @ np.log(1 - at + at * density) + 5 * prior)
+        log_posteriors.append(weight @ np.log(1 - at_junction + at_junction * density) + 5 * prior)
         _, parameters = junction_log_odds(graph, posterior, -9.0, parameters)
         np.testing.assert_allclose(parameters.gap_shares.sum(), 1.0)
-    assert (np.diff(climbed) > -1e-9).all()
-    assert climbed[-1] > climbed[0]
+    assert (np.diff(log_posteriors) > -1e-9).all()
+    assert log_posteriors[-1] > log_posteriors[0]
 
 
 def test_nothing_meets_nothing() -> None:

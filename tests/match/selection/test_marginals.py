@@ -1,4 +1,4 @@
-"""What is selected: evidence, exclusion and neighbours joined, in whatever order they come."""
+"""The selection combines evidence, exclusion and neighbours, whatever the candidates' order."""
 
 import numpy as np
 import pytest
@@ -51,12 +51,14 @@ def test_odds_alone_are_those_of_what_was_learned(triples: Candidates) -> None:
 
 def test_the_order_of_candidates_changes_nothing(triples: Candidates, selection: Selection) -> None:
     turn = np.random.default_rng(3).permutation(len(triples.index))
-    again = select(triples.take(turn), TYPICAL)
-    one, other = (np.lexsort(each.candidates.index.T) for each in (selection, again))
-    np.testing.assert_array_equal(selection.candidates.index[one], again.candidates.index[other])
-    np.testing.assert_array_equal(selection.is_accepted[one], again.is_accepted[other])
+    reordered = select(triples.take(turn), TYPICAL)
+    one, other = (np.lexsort(result.candidates.index.T) for result in (selection, reordered))
+    np.testing.assert_array_equal(
+        selection.candidates.index[one], reordered.candidates.index[other]
+    )
+    np.testing.assert_array_equal(selection.is_accepted[one], reordered.is_accepted[other])
     np.testing.assert_allclose(
-        selection.posterior_log_odds[one], again.posterior_log_odds[other], atol=1e-6
+        selection.posterior_log_odds[one], reordered.posterior_log_odds[other], atol=1e-6
     )
 
 

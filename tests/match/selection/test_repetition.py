@@ -1,4 +1,4 @@
-"""Where a pattern repeats nothing is sure, and elsewhere nothing changes."""
+"""Matches within a repeating pattern are never sure; other matches do not change."""
 
 import numpy as np
 import pytest
@@ -29,26 +29,26 @@ SHIFT = np.tile(np.arange(SHIFTS), LINES)
 
 
 def shifted(*, ends: bool) -> tuple[Candidates, np.ndarray]:
-    """A row of lines with rivals that are one period off, and two and three, whose evidence is as
-    high and differs by noise; the row ends, or closes to a ring."""
+    """A row of lines with rivals that are one, two and three periods off. Their evidence differs
+    only by noise. The row ends, or closes to a ring."""
     line = np.repeat(np.arange(LINES), SHIFTS)
     index = line[:, None] + SHIFT[:, None] * np.arange(3)
-    seen = (index < LINES).all(axis=1) | (not ends)
-    index = index[seen] % LINES
-    log_odds = np.random.default_rng(5).normal(12.0, 3.0, len(line))[seen]
-    return at_places(index, np.stack([line, SHIFT, 0 * line], axis=1)[seen]), log_odds
+    is_shown = (index < LINES).all(axis=1) | (not ends)
+    index = index[is_shown] % LINES
+    log_odds = np.random.default_rng(5).normal(12.0, 3.0, len(line))[is_shown]
+    return at_places(index, np.stack([line, SHIFT, 0 * line], axis=1)[is_shown]), log_odds
 
 
 def at_places(index: np.ndarray, middle_mm: np.ndarray, frame: np.ndarray | None = None):
-    """Whole lines of 2 mm along z."""
+    """Candidates of full lines of 2 mm along z at these positions."""
     ends_mm = middle_mm[:, None] + np.array([[0, 0, -1.0], [0, 0, 1.0]])
     interval = np.tile([0.0, 1.0], (len(index), 3, 1))
     return no_candidates(3)._replace(index=index, interval=interval, ends_mm=ends_mm, frame=frame)
 
 
 def ordinary(offset_mm: float = 0.0, first: int = 0) -> tuple[Candidates, np.ndarray]:
-    """Lines of which every second has a rival of little evidence, every twentieth one of much: it
-    contests two."""
+    """Lines whose every second has a rival with little evidence. The rival of every twentieth has
+    much evidence and contests two lines."""
     line = np.arange(LINES)
     wrong = line[::2]
     index = np.concatenate(
@@ -57,8 +57,8 @@ def ordinary(offset_mm: float = 0.0, first: int = 0) -> tuple[Candidates, np.nda
     log_odds = np.concatenate([np.full(LINES, 12.0), np.where(wrong % 20 == 0, 11.0, 1.0)])
     middle = np.concatenate([line, wrong])
     # No two are as far from a third.
-    places = np.stack([middle**1.001 + offset_mm, 0 * middle, 0 * middle], axis=1)
-    return at_places(index + first, places), log_odds
+    positions_mm = np.stack([middle**1.001 + offset_mm, 0 * middle, 0 * middle], axis=1)
+    return at_places(index + first, positions_mm), log_odds
 
 
 def posteriors(candidates: Candidates, log_odds: np.ndarray, *, limited: bool = True) -> np.ndarray:
@@ -78,16 +78,16 @@ def test_of_a_pattern_noise_is_sure_of_nothing() -> None:
 
 
 @given(arrays(float, 20, elements=st.floats(-30, 30)), st.floats(-3, 3), st.floats(0.0, 1.0))
-def test_odds_against_both_are_below_each_and_in_the_same_order(log_odds, most, share) -> None:
-    limited = limit_log_odds(log_odds, np.full(20, most))
-    assert (limited <= np.minimum(log_odds, most)).all()
+def test_odds_against_both_are_below_each_and_in_the_same_order(log_odds, limit, share) -> None:
+    limited = limit_log_odds(log_odds, np.full(20, limit))
+    assert (limited <= np.minimum(log_odds, limit)).all()
     order = np.argsort(log_odds)
     assert (np.diff(limited[order]) >= 0).all()
     # Odds w against clutter and against a pattern of share q: w / (1 + q w / m).
-    odds, pattern = np.exp(log_odds), share / np.exp(most)
+    odds, pattern = np.exp(log_odds), share / np.exp(limit)
     if share > 0:
-        found = limit_log_odds(log_odds, np.full(20, most - np.log(share)))
-        np.testing.assert_allclose(np.exp(found), odds / (1 + pattern * odds), rtol=1e-9)
+        limited_at_share = limit_log_odds(log_odds, np.full(20, limit - np.log(share)))
+        np.testing.assert_allclose(np.exp(limited_at_share), odds / (1 + pattern * odds), rtol=1e-9)
 
 
 def test_a_candidate_without_rivals_is_no_surer_than_its_pattern() -> None:
@@ -121,8 +121,8 @@ def test_a_pattern_limits_its_own_place_and_frame_alone() -> None:
     # In a stack, though at one place.
     ends_mm[~is_pattern, :, 0] -= 1000
     stack = both._replace(ends_mm=ends_mm, frame=np.where(is_pattern, 0, 1).astype(np.int32))
-    again = greatest_log_odds(stack, find_repetition(stack, log_odds, graph))
-    np.testing.assert_allclose(again, greatest, rtol=1e-12)
+    greatest_in_stack = greatest_log_odds(stack, find_repetition(stack, log_odds, graph))
+    np.testing.assert_allclose(greatest_in_stack, greatest, rtol=1e-12)
 
 
 def test_nothing_known_limits_nothing() -> None:
@@ -132,7 +132,7 @@ def test_nothing_known_limits_nothing() -> None:
 
 
 def test_matches_of_a_grating_are_not_sure_unless_the_limit_is_taken_off() -> None:
-    """Lines across the line of the cameras, whose ends and borders no picture shows."""
+    """Lines perpendicular to the row of cameras. No picture shows their ends or the borders."""
     cameras = {
         name: Camera.from_degrees(
             table1_lens(), pan_deg=pan, tilt_deg=40.0, swing_deg=0.0, distance_mm=distance
@@ -142,8 +142,8 @@ def test_matches_of_a_grating_are_not_sure_unless_the_limit_is_taken_off() -> No
     random, x = np.random.default_rng(2), np.arange(-200.0, 200.0, 8.0)
     segments = {}
     for name, camera in cameras.items():
-        places = np.stack([np.stack([x, 0 * x + y, 0 * x], axis=1) for y in (-40, 40)], axis=1)
-        ends = project_points(camera.pose, camera.intrinsics.lens, places.reshape(-1, 3)).reshape(
+        ends_mm = np.stack([np.stack([x, 0 * x + y, 0 * x], axis=1) for y in (-40, 40)], axis=1)
+        ends = project_points(camera.pose, camera.intrinsics.lens, ends_mm.reshape(-1, 3)).reshape(
             -1, 2, 2
         )
         ends = ends + random.normal(scale=0.5, size=ends.shape)
@@ -159,6 +159,6 @@ def test_matches_of_a_grating_are_not_sure_unless_the_limit_is_taken_off() -> No
     assert lowered.sum() > 10
     for view, name in enumerate(limited.views):
         of_pattern = np.unique(limited.index[lowered, view])
-        words = np.flatnonzero(limited.reasons[name] == "matched within a pattern")
-        np.testing.assert_array_equal(words, of_pattern[of_pattern >= 0])
+        with_reason = np.flatnonzero(limited.reasons[name] == "matched within a pattern")
+        np.testing.assert_array_equal(with_reason, of_pattern[of_pattern >= 0])
         assert not (freely.reasons[name] == "matched within a pattern").any()

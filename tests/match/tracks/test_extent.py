@@ -1,4 +1,4 @@
-"""What two views show of a line, from parts that are known."""
+"""The part of a line that two views show, computed from known parts."""
 
 import numpy as np
 
@@ -23,7 +23,7 @@ def test_lines_reach_as_far_as_the_second_furthest_view(exact: MadeScene) -> Non
         for v, name in enumerate(rig.names)
     }
     scene = seen_by(rig, lines_mm, shown, 0.3)
-    turn = [rig.names.index(name) for name in scene.seen.names]
+    turn = [rig.names.index(name) for name in scene.inputs.names]
     index = scene.true.copy()
     # A part of the lines is seen in two views.
     index[20:, 1] = -1
@@ -36,10 +36,10 @@ def test_lines_reach_as_far_as_the_second_furthest_view(exact: MadeScene) -> Non
         lines_mm, np.stack([np.nanmax(by_view[..., 0], 0), np.nanmin(by_view[..., 1], 0)], axis=1)
     )
     for ends_mm, expected in ((common_mm, expected_mm), (common_mm[:, ::-1], expected_mm[:, ::-1])):
-        span = two_view_span(segment_extents(scene.seen, index, ends_mm))
-        found = line_end_positions(scene.seen, index, points_on_lines(ends_mm, span))
+        span = two_view_span(segment_extents(scene.inputs, index, ends_mm))
+        positions = line_end_positions(scene.inputs, index, points_on_lines(ends_mm, span))
         for view in range(3):
             on = index[:, view] >= 0
             image = image_px(scene.table.matrix_px[view], expected[on])
-            place = place_on(scene.table.ends_px[view, index[on, view]], image)
-            np.testing.assert_allclose(found[on, view], place, atol=1e-7)
+            image_positions = place_on(scene.table.ends_px[view, index[on, view]], image)
+            np.testing.assert_allclose(positions[on, view], image_positions, atol=1e-7)

@@ -1,4 +1,4 @@
-"""Triples of several threes of views become one track through all, whatever the views' order."""
+"""Triples of several view triplets become one track through all views, whatever their order."""
 
 from itertools import combinations
 
@@ -22,12 +22,12 @@ def scene() -> MadeScene:
 
 
 def of_views(lines: SegmentTable, views: list[int]) -> SegmentTable:
-    """The tables of some of the views, in a new order."""
+    """Tables of some of the views, in this order."""
     return jax.tree.map(lambda table: np.asarray(table)[views], lines)
 
 
 def triples_of(scene: MadeScene, views: list[int]) -> Tracks:
-    """Every line in every three of the views, with different posteriors."""
+    """Triples of every line in every three of the views, with different posteriors."""
     index, interval, ends = [], [], []
     for three in combinations(range(len(views)), 3):
         rows = np.full((LINES, len(views)), -1)
@@ -64,7 +64,7 @@ def as_set(tracks: Tracks) -> set[tuple[int, ...]]:
 
 @pytest.mark.parametrize("views", [[0, 1, 2, 3], [0, 1, 2, 3, 4], [4, 2, 0, 3, 1]])
 def test_all_triples_of_a_line_become_one_track(scene: MadeScene, views: list[int]) -> None:
-    merged = merge_triplets(of_views(scene.seen.lines, views), triples_of(scene, views))
+    merged = merge_triplets(of_views(scene.inputs.lines, views), triples_of(scene, views))
     assert as_set(merged) == {tuple(row) for row in scene.true[:, views].tolist()}
     order = np.argsort(merged.candidates.index[:, 0])
     line = np.argsort(scene.true[:, views[0]])
@@ -75,7 +75,7 @@ def test_all_triples_of_a_line_become_one_track(scene: MadeScene, views: list[in
 
 def test_a_track_keeps_the_posterior_of_its_best_triple(scene: MadeScene) -> None:
     tracks = triples_of(scene, list(range(5)))
-    merged = merge_triplets(scene.seen.lines, tracks)
+    merged = merge_triplets(scene.inputs.lines, tracks)
     for row, odds in zip(merged.candidates.index, merged.posterior_log_odds, strict=True):
         agree = (tracks.candidates.index == row) | (tracks.candidates.index < 0)
         assert odds == tracks.posterior_log_odds[agree.all(axis=1)].max()
@@ -85,7 +85,7 @@ def test_the_order_of_triples_changes_nothing(scene: MadeScene) -> None:
     tracks = triples_of(scene, list(range(5)))
     turn = np.random.default_rng(1).permutation(len(tracks.posterior_log_odds))
     turned = Tracks(tracks[0].take(turn), tracks[1][turn], tracks[2][turn])
-    one, other = (merge_triplets(scene.seen.lines, each) for each in (tracks, turned))
+    one, other = (merge_triplets(scene.inputs.lines, ordered) for ordered in (tracks, turned))
     np.testing.assert_array_equal(one.candidates.index, other.candidates.index)
     np.testing.assert_array_equal(one.candidates.ends_mm, other.candidates.ends_mm)
 
@@ -97,7 +97,7 @@ def test_a_less_likely_triple_that_contradicts_is_dropped(scene: MadeScene) -> N
     wrong[:, 3:] = -1
     parts = np.tile([0.0, 1.0], (4, 5, 1))
     others = tracks_from(wrong, parts, scene.lines_mm[:4])
-    merged = merge_triplets(scene.seen.lines, appended(tracks, others, odds=0.5))
+    merged = merge_triplets(scene.inputs.lines, appended(tracks, others, odds=0.5))
     assert as_set(merged) == {tuple(row) for row in scene.true.tolist()}
 
 
@@ -107,19 +107,19 @@ def test_tracks_of_other_views_are_one_where_triples_tie_them_both_ways(
 ) -> None:
     # Six views, of which the last is the first once more.
     views, threes = [0, 1, 2, 3, 4, 0], [(0, 1, 2), (3, 4, 5), (0, 1, 3), (0, 3, 4)]
-    every = triples_of(scene, views)
-    line = (every.candidates.index == scene.true[0, views]) | (every.candidates.index < 0)
+    triples = triples_of(scene, views)
+    line = (triples.candidates.index == scene.true[0, views]) | (triples.candidates.index < 0)
     rows = [
-        np.flatnonzero(line.all(axis=1) & (every.candidates.index[:, three] >= 0).all(axis=1))[0]
+        np.flatnonzero(line.all(axis=1) & (triples.candidates.index[:, three] >= 0).all(axis=1))[0]
         for three in (threes if tied_both_ways else threes[:3])
     ]
-    candidates = every.candidates.take(np.array(rows))
+    candidates = triples.candidates.take(np.array(rows))
     # The two tracks first, and then what ties them.
-    tracks = Tracks(candidates, -np.arange(len(rows), dtype=float), every.rival_posterior[rows])
-    merged = as_set(merge_triplets(of_views(scene.seen.lines, views), tracks))
-    whole = tuple(scene.true[0, views].tolist())
-    apart = {whole[:3] + (-1,) * 3, (-1,) * 3 + whole[3:]}
-    assert merged == ({whole} if tied_both_ways else apart)
+    tracks = Tracks(candidates, -np.arange(len(rows), dtype=float), triples.rival_posterior[rows])
+    merged = as_set(merge_triplets(of_views(scene.inputs.lines, views), tracks))
+    full_track = tuple(scene.true[0, views].tolist())
+    two_tracks = {full_track[:3] + (-1,) * 3, (-1,) * 3 + full_track[3:]}
+    assert merged == ({full_track} if tied_both_ways else two_tracks)
 
 
 def test_every_view_is_matched_in_some_three() -> None:

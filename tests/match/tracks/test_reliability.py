@@ -1,4 +1,4 @@
-"""Which matches can be used: evidence against the set, and uncertainty relative to the scene."""
+"""Usability of matches: evidence against the set, and uncertainty relative to the scene."""
 
 import os
 from dataclasses import replace
@@ -21,7 +21,7 @@ from trinoc.synth import table1_rig
 
 
 def scaled(matches: Matches, factor: float) -> Matches:
-    """The same matches of a world so many times as large, with its cameras."""
+    """The same matches with the world and the cameras scaled by this factor."""
     return replace(
         matches,
         lines_mm=factor * matches.lines_mm,
@@ -69,8 +69,8 @@ def test_the_sentence_has_the_number_its_unit_and_the_remedy():
 def test_unmatched_segments_of_a_cluttered_scene_are_no_evidence(clutter):
     matches = sure_matches()
     reasons = {
-        view: np.concatenate([words, np.full(clutter, "evidence too weak")])
-        for view, words in matches.reasons.items()
+        view: np.concatenate([view_reasons, np.full(clutter, "evidence too weak")])
+        for view, view_reasons in matches.reasons.items()
     }
     assert replace(matches, reasons=reasons).status is MatchStatus.MATCHED
 

@@ -1,4 +1,4 @@
-"""Errors that differ from line to line: what is learned of them, and what ellipsoids hold."""
+"""Errors that differ from line to line: the learned tail, and the coverage of the ellipsoids."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ SIGMA_PX = 0.4
 def drawn(
     factor: np.ndarray, degrees: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(misfits, chi-squares of the errors) of lines whose variances are so many times as stated."""
+    """Misfits and error chi-squares of lines whose variances are `factor` times as stated."""
     misfit = np.where(degrees > 0, factor * rng.chisquare(np.maximum(degrees, 1)), 0.0)
     return misfit, factor * rng.chisquare(4, len(factor))
 
@@ -74,16 +74,16 @@ def test_misfits_pass_their_limit_as_often_as_it_says(freedom: float) -> None:
         assert abs(beyond - probability) < 4 * np.sqrt(probability / count)
 
 
-@pytest.mark.parametrize(("of_pictures", "most"), [(True, 0.06), (False, 0.02)])
-def test_normal_errors_leave_ellipsoids_as_they_are(of_pictures: bool, most: float) -> None:
+@pytest.mark.parametrize(("of_pictures", "max_tail"), [(True, 0.06), (False, 0.02)])
+def test_normal_errors_leave_ellipsoids_as_they_are(of_pictures: bool, max_tail: float) -> None:
     rng = np.random.default_rng(2)
     for _ in range(5):
         degrees = np.full(400, 2)
         misfit, square = drawn(np.ones(400), degrees, rng)
         tail = fit_tail(misfit, degrees, has_images=of_pictures)
-        assert tail < most
+        assert tail < max_tail
         before = float(np.mean(square < LIMIT))
-        assert before <= held(misfit, degrees, square, tail) <= before + 0.6 * most
+        assert before <= held(misfit, degrees, square, tail) <= before + 0.6 * max_tail
 
 
 def test_a_mixture_that_is_no_student_distribution_is_held_all_the_same() -> None:
@@ -101,7 +101,9 @@ def test_a_mixture_that_is_no_student_distribution_is_held_all_the_same() -> Non
 
 def test_without_observations_what_is_known_before_holds() -> None:
     none = np.zeros(0), np.zeros(0, dtype=np.int64)
-    in_pictures, otherwise = (fit_tail(*none, has_images=known) for known in (True, False))
+    in_pictures, otherwise = (
+        fit_tail(*none, has_images=has_images) for has_images in (True, False)
+    )
     assert 0.2 < in_pictures < 0.3
     assert 0.005 < otherwise < 0.015
     misfit = np.array([0.0, 3.0, 40.0])
@@ -116,29 +118,29 @@ def test_variances_grow_across_and_stay_along(seed: int, size: float, factor: fl
     rng = np.random.default_rng(seed)
     ends, root = size * rng.normal(size=(1, 2, 3)), rng.normal(size=(1, 6, 6))
     covariance = root @ root.mT
-    found = scale_covariance_of_lines(ends, covariance, np.array([factor]))
-    way = (ends[0, 1] - ends[0, 0]) / np.linalg.norm(ends[0, 1] - ends[0, 0])
-    across = np.linalg.svd(way[None])[2][1:]
-    both, along = np.kron(np.eye(2), across), np.kron(np.eye(2), way)
+    scaled = scale_covariance_of_lines(ends, covariance, np.array([factor]))
+    direction = (ends[0, 1] - ends[0, 0]) / np.linalg.norm(ends[0, 1] - ends[0, 0])
+    across = np.linalg.svd(direction[None])[2][1:]
+    both, along = np.kron(np.eye(2), across), np.kron(np.eye(2), direction)
     np.testing.assert_allclose(
-        both @ found[0] @ both.T, factor * both @ covariance[0] @ both.T, rtol=1e-9, atol=1e-9
+        both @ scaled[0] @ both.T, factor * both @ covariance[0] @ both.T, rtol=1e-9, atol=1e-9
     )
     np.testing.assert_allclose(
-        along @ found[0] @ along.T, along @ covariance[0] @ along.T, rtol=1e-9, atol=1e-9
+        along @ scaled[0] @ along.T, along @ covariance[0] @ along.T, rtol=1e-9, atol=1e-9
     )
-    back = scale_covariance_of_lines(ends, found, np.array([1 / factor]))
+    back = scale_covariance_of_lines(ends, scaled, np.array([1 / factor]))
     np.testing.assert_allclose(back, covariance, rtol=1e-7, atol=1e-7)
 
 
 def uneven_matches(seed: int, views: tuple[str, ...]) -> Matches:
-    """Lines one in six of which all views show moved, five times as far as the others."""
+    """Matches of lines, one in six of which has errors five times as large as the others."""
     rig, lines = rig_of("upper", "left", "right"), loose_lines(60, seed=seed)
     exact, rng = pictures(rig, lines), np.random.default_rng(seed)
     sigma = 0.2 * np.where(rng.random(len(lines)) < 1 / 6, 5.0, 1.0)
-    seen = {
+    pictures_px = {
         v: ends + sigma[:, None, None] * rng.normal(size=ends.shape) for v, ends in exact.items()
     }
-    return match_segments({view: seen[view] for view in views}, rig, sigma_px=SIGMA_PX)
+    return match_segments({view: pictures_px[view] for view in views}, rig, sigma_px=SIGMA_PX)
 
 
 def test_matches_learn_the_tail_in_any_order_of_views() -> None:
@@ -147,7 +149,7 @@ def test_matches_learn_the_tail_in_any_order_of_views() -> None:
     other = uneven_matches(30, names[::-1])
     assert first.noise_tail > 0.02
     assert first.noise_tail == pytest.approx(other.noise_tail, rel=1e-9)
-    same = [np.lexsort(found.lines_mm.reshape(-1, 6).T) for found in (first, other)]
+    same = [np.lexsort(matches.lines_mm.reshape(-1, 6).T) for matches in (first, other)]
     np.testing.assert_allclose(
         first.covariance_mm2[same[0]], other.covariance_mm2[same[1]], rtol=1e-5, atol=1e-9
     )

@@ -1,4 +1,4 @@
-"""Tracks of many views: what views show and do not show, and how well each segment fits, counts."""
+"""Tracks of many views: evidence from shown segments, missing segments and their fit."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def scene() -> MadeScene:
 
 
 def test_views_beyond_three_are_a_likelihood_ratio() -> None:
-    """Each view that shows a line, and each that should and does not, by hand."""
+    """The ratio of each view that shows a line, and of each that should but does not, by hand."""
     index = np.array([[0, 0, 0, -1, -1], [1, 1, 1, 1, -1], [2, 2, 2, 2, 2]])
     shown = np.array([[True] * 5, [True] * 5, [True] * 5])
     shown[0, 4] = False
@@ -42,8 +42,8 @@ def test_views_beyond_three_are_a_likelihood_ratio() -> None:
 
 
 def test_the_rate_of_right_lines_leaves_out_the_views_that_found_them() -> None:
-    """Of 1,000 lines, each shown by every view with a probability of its own, those in three views
-    are tracks: the rates are these probabilities all the same."""
+    """Each view shows 1,000 lines with its own probability; lines in three views are tracks. The
+    estimated rates still equal these probabilities."""
     rate = np.array([0.95, 0.9, 0.7, 0.5, 0.8])
     member = np.random.default_rng(1).uniform(size=(20_000, 5)) < rate
     member = member[member.sum(axis=1) >= 3]
@@ -58,29 +58,31 @@ def test_the_rate_of_chance_grows_with_clutter(scene: MadeScene) -> None:
     rig = rig_of(*VIEWS)
     rates = []
     for strays in (0, 400):
-        seen = pictures(rig, scene.lines_mm, 0.3, seed=3)
+        pictures_px = pictures(rig, scene.lines_mm, 0.3, seed=3)
         random = np.random.default_rng(2)
-        for name, ends in seen.items():
+        for name, ends in pictures_px.items():
             middle = random.uniform(20, 450, (strays, 1, 2))
             half = random.uniform(-20, 20, (strays, 1, 2))
             more = np.concatenate([middle - half, middle + half], axis=1).reshape(strays, 4)
-            seen[name] = np.concatenate([ends.reshape(-1, 4), more])
-        made = seen_by(rig, scene.lines_mm, seen, 0.3)
-        tracks = fit_tracks(made.seen, made.true[: len(scene.lines_mm)], scene.lines_mm)
-        rates.append(chance_rates(made.seen, tracks, GATE, DEFAULT).mean())
+            pictures_px[name] = np.concatenate([ends.reshape(-1, 4), more])
+        scene_with_strays = seen_by(rig, scene.lines_mm, pictures_px, 0.3)
+        tracks = fit_tracks(
+            scene_with_strays.inputs, scene_with_strays.true[: len(scene.lines_mm)], scene.lines_mm
+        )
+        rates.append(chance_rates(scene_with_strays.inputs, tracks, GATE, DEFAULT).mean())
     # 40 lines and 440: each passes by chance as often, but strays are shorter.
     assert 1.5 * rates[0] < rates[1] < 11 * rates[0] < 0.5
 
 
 def test_a_line_lies_in_the_pictures_whose_cameras_look_at_it(scene: MadeScene) -> None:
-    inside = lines_in_images(scene.seen.lines, scene.lines_mm)
+    inside = lines_in_images(scene.inputs.lines, scene.lines_mm)
     assert inside.all()
-    behind = scene.lines_mm + 1e4 * np.asarray(scene.seen.lines.centre_mm).mean(axis=0)
-    assert not lines_in_images(scene.seen.lines, behind).any()
+    behind = scene.lines_mm + 1e4 * np.asarray(scene.inputs.lines.centre_mm).mean(axis=0)
+    assert not lines_in_images(scene.inputs.lines, behind).any()
 
 
 def test_segments_that_fit_as_chance_has_it_count_against_a_track() -> None:
-    """Three views tell nothing more; the density of a good fit is above that of chance."""
+    """Three views add nothing; the density of a good fit is above that of chance."""
     index = np.array([[0, 0, 0, -1], [0, 0, 0, 0], [0, 0, 0, 0]])
     evidence = misfit_evidence(index, np.array([9.0, 1.0, 36.0]), GATE, 0.0)
     assert evidence[0] == 0.0
@@ -101,37 +103,37 @@ def test_the_density_of_a_misfit_is_one_in_all_and_that_of_chi_square_without_a_
 def test_a_foreign_segment_is_told_from_those_of_the_line(scene: MadeScene) -> None:
     wrong = scene.true.copy()
     wrong[:4, 3] = np.roll(wrong[:4, 3], 1)
-    tracks = fit_tracks(scene.seen, wrong, scene.lines_mm)
+    tracks = fit_tracks(scene.inputs, wrong, scene.lines_mm)
     rates = HitRates(np.full((5, 5), 0.9), np.full(5, 0.1))
-    posterior = member_posteriors(scene.seen, tracks, rates, GATE, 0.0, ViewSupportTuning())
+    posterior = member_posteriors(scene.inputs, tracks, rates, GATE, 0.0, ViewSupportTuning())
     assert (posterior[:4, 3] < 0.01).all()
     assert (posterior[4:] > 0.9).mean() > 0.98
     # Of three views none can be told from the others.
     three = np.where(np.arange(5) < 3, scene.true, -1)
     alone = member_posteriors(
-        scene.seen, fit_tracks(scene.seen, three, scene.lines_mm), rates, GATE, 0.0, RULES
+        scene.inputs, fit_tracks(scene.inputs, three, scene.lines_mm), rates, GATE, 0.0, RULES
     )
     assert np.isnan(alone).all()
 
 
 def test_no_segment_is_far_from_its_line_however_unequal_errors_are(scene: MadeScene) -> None:
-    """A heavy tail makes any misfit likely enough."""
+    """The limit in pixels is needed because a heavy tail makes any misfit likely."""
     rig, far_px = rig_of(*VIEWS), DEFAULT.tracks.max_distance_px
-    for sigma_px, tail, off_px, near in (
+    for sigma_px, tail, off_px, should_fit in (
         (0.3, 1.0, far_px / 2, True),
         (0.3, 1.0, 4 * far_px, False),
         # Ten sigmas are too many where errors are equal, however few pixels they are.
         (0.1, 0.0, 1.0, False),
     ):
-        seen = pictures(rig, scene.lines_mm, 0.0)
-        way = np.diff(seen["low"], axis=1)[:, 0]
-        normal = np.stack([-way[:, 1], way[:, 0]], axis=1)
-        normal = normal / np.linalg.norm(way, axis=1, keepdims=True)
-        seen["low"] = seen["low"] + off_px * normal[:, None]
-        made = seen_by(rig, scene.lines_mm, seen, sigma_px)
-        tracks = fit_tracks(made.seen, made.true, scene.lines_mm)
-        fits = are_consistent(made.seen, tracks, DEFAULT, tail)
-        assert (fits == near).mean() > 0.9
+        pictures_px = pictures(rig, scene.lines_mm, 0.0)
+        direction = np.diff(pictures_px["low"], axis=1)[:, 0]
+        normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+        normal = normal / np.linalg.norm(direction, axis=1, keepdims=True)
+        pictures_px["low"] = pictures_px["low"] + off_px * normal[:, None]
+        shifted_scene = seen_by(rig, scene.lines_mm, pictures_px, sigma_px)
+        tracks = fit_tracks(shifted_scene.inputs, shifted_scene.true, scene.lines_mm)
+        fits = are_consistent(shifted_scene.inputs, tracks, DEFAULT, tail)
+        assert (fits == should_fit).mean() > 0.9
 
 
 def test_posteriors_of_members_are_of_the_views_that_see_a_track() -> None:

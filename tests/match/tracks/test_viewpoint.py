@@ -1,4 +1,4 @@
-"""Outlines of round bodies, of which each camera sees its own: rejected, or marked."""
+"""Outlines of round bodies, which differ from camera to camera, are rejected or marked."""
 
 import numpy as np
 import pytest
@@ -14,25 +14,25 @@ VIEWS = ("upper", "left", "right")
 
 
 def with_cylinders(rig: Rig, radius_mm: float, lines_mm: np.ndarray, sigma_px: float, seed: int):
-    """Outlines of six cylinders, which come first, and straight lines, in every view."""
+    """(pictures of the outlines of six cylinders, then of the lines; outlines per picture)."""
     rng = np.random.default_rng(seed)
     feet = np.append(np.mgrid[-50:51:50, -30:31:60].reshape(2, -1).T, np.zeros((6, 1)), axis=1)
-    seen = {}
+    pictures_px = {}
     for name, camera in rig.items():
         outlines = [
             Cylinder(foot, radius_mm, 35.0, 96).silhouette_mm(camera.centre_world_mm)
             for foot in feet
         ]
         image = pictures(Rig({name: camera}), np.concatenate([*outlines, lines_mm]))[name]
-        seen[name] = image + sigma_px * rng.normal(size=image.shape)
-    return seen, 2 * len(feet)
+        pictures_px[name] = image + sigma_px * rng.normal(size=image.shape)
+    return pictures_px, 2 * len(feet)
 
 
 def test_outlines_that_move_with_the_viewpoint_are_rejected_or_marked() -> None:
     rig, lines = rig_of(*VIEWS), loose_lines(40, seed=21)
     for radius in (3.0, 5.0):
-        seen, outlines = with_cylinders(rig, radius, lines, 0.1, seed=4)
-        matches = match_segments(seen, rig, sigma_px=0.1)
+        pictures_px, outlines = with_cylinders(rig, radius, lines, 0.1, seed=4)
+        matches = match_segments(pictures_px, rig, sigma_px=0.1)
         assert matches.viewpoint_dependent is not None
         in_three = matches.stage == TRINOCULAR
         round_body = in_three & (matches.index.max(axis=1) < outlines)
@@ -52,8 +52,8 @@ def test_outlines_that_move_with_the_viewpoint_are_rejected_or_marked() -> None:
 def test_outlines_of_thin_bodies_are_lines() -> None:
     # An outline moves by a hundredth of a millimetre here.
     rig, lines = rig_of(*VIEWS), loose_lines(40, seed=22)
-    seen, outlines = with_cylinders(rig, 0.1, lines, 0.1, seed=5)
-    matches = match_segments(seen, rig, sigma_px=0.1)
+    pictures_px, outlines = with_cylinders(rig, 0.1, lines, 0.1, seed=5)
+    matches = match_segments(pictures_px, rig, sigma_px=0.1)
     assert matches.viewpoint_dependent is not None
     straight = (matches.stage == TRINOCULAR) & (matches.index[:, 0] < outlines)
     assert straight.sum() >= outlines - 2
@@ -65,8 +65,8 @@ def test_misfit_of_straight_lines_is_chi_square(sigma_px: float) -> None:
     rig = rig_of(*VIEWS)
     misfit = []
     for seed in range(4):
-        seen = pictures(rig, loose_lines(50, seed), sigma_px=sigma_px, seed=seed + 9)
-        matches = match_segments(seen, rig, sigma_px=sigma_px)
+        pictures_px = pictures(rig, loose_lines(50, seed), sigma_px=sigma_px, seed=seed + 9)
+        matches = match_segments(pictures_px, rig, sigma_px=sigma_px)
         right = (matches.index == matches.index[:, :1]).all(axis=1)
         assert matches.misfit is not None
         misfit.extend(matches.misfit[right])

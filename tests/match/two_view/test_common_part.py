@@ -1,4 +1,4 @@
-"""The common part of a pair: its ends correspond, and neither view comes first."""
+"""The common part of a pair: its ends correspond, and the order of the views does not matter."""
 
 from itertools import product
 
@@ -24,7 +24,7 @@ between_views = jax.jit(fundamental_matrix)
 
 @jax.jit
 def cut(lines: SegmentTable, a, b, pairs):
-    """(ends in space, whether possible) of pairs of segments of views a and b."""
+    """(ends in space, possible or not) of pairs of segments of views a and b."""
     planes = build_pencil(lines, a, b)
 
     def one(pair):
@@ -37,7 +37,7 @@ def cut(lines: SegmentTable, a, b, pairs):
 
 @pytest.fixture(scope="module")
 def parts(exact: MadeScene) -> tuple[np.ndarray, np.ndarray]:
-    points, possible = cut(exact.seen.lines, np.array(0), np.array(1), PAIRS)
+    points, possible = cut(exact.inputs.lines, np.array(0), np.array(1), PAIRS)
     return np.moveaxis(np.array(points), 2, 0), np.asarray(possible)
 
 
@@ -47,8 +47,8 @@ def test_each_cut_end_is_an_end_of_one_of_the_segments(exact: MadeScene, parts) 
     nearest = []
     for view in (0, 1):
         image = image_px(exact.table.matrix_px[view], points)
-        place = place_on(exact.table.ends_px[view, PAIRS[:, view]], image)
-        nearest.append(np.minimum(np.abs(place), np.abs(place - 1)))
+        position = place_on(exact.table.ends_px[view, PAIRS[:, view]], image)
+        nearest.append(np.minimum(np.abs(position), np.abs(position - 1)))
     np.testing.assert_allclose(np.minimum(*nearest)[possible], 0, atol=1e-9)
 
 
@@ -58,13 +58,13 @@ def test_segments_between_other_epipolar_lines_have_no_common_part(exact: MadeSc
     a, b = (table.ends_px[v, PAIRS[:, v]] for v in (0, 1))
     homogeneous = np.concatenate([a, np.ones((len(a), 2, 1))], axis=2)
     partner = np.cross(homogeneous @ fundamental.T, table.line[1, PAIRS[:, 1]][:, None])
-    # Where the first segment's ends have their partners on the line of the second; those far
+    # Positions of the partners of the first segment's ends on the line of the second; those far
     # away may be beyond its infinity.
-    place = place_on(b, partner[..., :2] / partner[..., 2:])
-    apart = (place.min(axis=1) > 1) | (place.max(axis=1) < 0)
-    apart &= np.abs(place).max(axis=1) < 5
-    assert apart.sum() > 30
-    assert not parts[1][apart].any()
+    partner_position = place_on(b, partner[..., :2] / partner[..., 2:])
+    is_disjoint = (partner_position.min(axis=1) > 1) | (partner_position.max(axis=1) < 0)
+    is_disjoint &= np.abs(partner_position).max(axis=1) < 5
+    assert is_disjoint.sum() > 30
+    assert not parts[1][is_disjoint].any()
 
 
 def test_cut_ends_lie_on_both_segments_and_correspond(exact: MadeScene, parts) -> None:
@@ -87,11 +87,11 @@ def test_cut_ends_lie_on_both_segments_and_correspond(exact: MadeScene, parts) -
 
 def test_which_view_comes_first_means_nothing(exact: MadeScene, parts) -> None:
     points, possible = parts
-    turned = cut(exact.seen.lines, np.array(1), np.array(0), PAIRS[:, ::-1].copy())
+    turned = cut(exact.inputs.lines, np.array(1), np.array(0), PAIRS[:, ::-1].copy())
     np.testing.assert_array_equal(turned[1], possible)
-    again = np.moveaxis(np.array(turned[0]), 2, 0)[possible]
+    turned_points = np.moveaxis(np.array(turned[0]), 2, 0)[possible]
     # The angles run the other way.
-    np.testing.assert_allclose(again[:, ::-1], points[possible], rtol=1e-7, atol=1e-6)
+    np.testing.assert_allclose(turned_points[:, ::-1], points[possible], rtol=1e-7, atol=1e-6)
 
 
 def test_partners_are_cut_to_the_whole_line(exact: MadeScene, parts) -> None:

@@ -1,4 +1,4 @@
-"""The pencil: partners share planes, slopes give depth, and the world's frame means nothing."""
+"""The pencil: partners share planes, slopes give depth, and the world's frame does not matter."""
 
 from typing import Any
 
@@ -23,11 +23,11 @@ FIRST, SECOND = np.array(0), np.array(1)
 
 @pytest.fixture(scope="module")
 def planes(exact: MadeScene) -> Pencil:
-    return build_pencil(exact.seen.lines, FIRST, SECOND)
+    return build_pencil(exact.inputs.lines, FIRST, SECOND)
 
 
 def rows(segments: PencilSegments, index: np.ndarray) -> Any:
-    """Some of the segments, as PencilSegments of NumPy arrays."""
+    """Rows of PencilSegments as NumPy arrays."""
     return jax.tree.map(lambda column: np.asarray(column)[..., index], segments)
 
 
@@ -66,11 +66,11 @@ def test_variances_are_those_of_moved_ends(exact: MadeScene, planes: Pencil) -> 
     normal = lines.line[..., :2]
     along = np.stack([normal[..., 1], -normal[..., 0]], axis=-1)
 
-    def with_end(end: int, way: np.ndarray) -> Any:
+    def with_end(end: int, direction: np.ndarray) -> Any:
         ends = lines.ends_px.copy()
-        ends[:, :, end] += step * way
+        ends[:, :, end] += step * direction
         return rows(
-            build_pencil(exact.seen.lines._replace(ends_px=ends), FIRST, SECOND).first, true
+            build_pencil(exact.inputs.lines._replace(ends_px=ends), FIRST, SECOND).first, true
         )
 
     # The ends by plane angle: `low` is that of the first end, or of the second.
@@ -79,8 +79,8 @@ def test_variances_are_those_of_moved_ends(exact: MadeScene, planes: Pencil) -> 
     effect = np.zeros((2, 2, len(true)))
     slide = np.zeros((2, len(true)))
     for end, across in enumerate([with_end(0, normal), with_end(1, normal)]):
-        for place, angle in enumerate((a.low, a.high)):
-            effect[place, end] = (slopes(across, angle) - slopes(a, angle)) / step
+        for row, angle in enumerate((a.low, a.high)):
+            effect[row, end] = (slopes(across, angle) - slopes(a, angle)) / step
         first = low_is_first if end == 0 else ~low_is_first
         turn = [np.where(first, m.low - a.low, m.high - a.high) for m in (across, moved[end])]
         slide[0, first], slide[1, ~first] = (
@@ -92,8 +92,8 @@ def test_variances_are_those_of_moved_ends(exact: MadeScene, planes: Pencil) -> 
     for stated, (i, j) in zip(a.slope_variance, ((0, 0), (0, 1), (1, 1)), strict=True):
         # Differences over 1e-4 px are good to some 1e-12.
         np.testing.assert_allclose(stated, expected[:, i, j], rtol=1e-3, atol=1e-11)
-    for place, stated in enumerate(a.end_variance_px2):
-        np.testing.assert_allclose(stated, slide[place] * covariance[:, 0, 0], rtol=1e-2)
+    for row, stated in enumerate(a.end_variance_px2):
+        np.testing.assert_allclose(stated, slide[row] * covariance[:, 0, 0], rtol=1e-2)
 
 
 def test_a_rigid_motion_of_the_world_changes_nothing(exact: MadeScene, planes: Pencil) -> None:
@@ -102,10 +102,10 @@ def test_a_rigid_motion_of_the_world_changes_nothing(exact: MadeScene, planes: P
     to_old[:3, :3], to_old[:3, 3] = turn.T, -turn.T @ np.array([300.0, -50.0, 120.0])
     matrices = dict(zip(exact.rig.names, exact.rig.matrices_px @ to_old, strict=True))
     moved = prepare(exact.pictures_px, Rig.from_matrices(matrices, (512, 480)), 0.3)
-    assert moved.names == exact.seen.names
-    again = build_pencil(moved.lines, FIRST, SECOND)
-    np.testing.assert_allclose(again.frame, np.asarray(planes.frame) @ turn.T, atol=1e-12)
-    for old, new in ((planes.first, again.first), (planes.second, again.second)):
+    assert moved.names == exact.inputs.names
+    moved_pencil = build_pencil(moved.lines, FIRST, SECOND)
+    np.testing.assert_allclose(moved_pencil.frame, np.asarray(planes.frame) @ turn.T, atol=1e-12)
+    for old, new in ((planes.first, moved_pencil.first), (planes.second, moved_pencil.second)):
         for column, other in zip(old, new, strict=True):
             np.testing.assert_allclose(
                 np.asarray(column)[..., :30], np.asarray(other)[..., :30], rtol=1e-7, atol=1e-9
@@ -116,12 +116,14 @@ def test_ranges_about_ends_hold_partners_and_reach_as_far_as_asked(
     noisy: MadeScene, exact: MadeScene
 ) -> None:
     def ranges(scene: MadeScene, reach_px: float) -> list[np.ndarray]:
-        lines, both = scene.seen.lines, build_pencil(scene.seen.lines, FIRST, SECOND)
-        found = []
+        lines, both = scene.inputs.lines, build_pencil(scene.inputs.lines, FIRST, SECOND)
+        ranges_by_view = []
         for view, segments in enumerate((both.first, both.second)):
             angles = plane_angles(lines, view, segments)
-            found.append(end_angles(lines, view, segments, angles, reach_px)[scene.true[:, view]])
-        return found
+            ranges_by_view.append(
+                end_angles(lines, view, segments, angles, reach_px)[scene.true[:, view]]
+            )
+        return ranges_by_view
 
     def meet(one: np.ndarray, other: np.ndarray) -> np.ndarray:
         return (one[..., 0] < other[..., 1]) & (other[..., 0] < one[..., 1])
@@ -129,9 +131,9 @@ def test_ranges_about_ends_hold_partners_and_reach_as_far_as_asked(
     assert meet(*ranges(exact, 0.1)).all()
     assert meet(*ranges(noisy, 2.0)).mean() > 0.95
     # As a share of the segment, the reach is what it is as a share of its length.
-    lines, near, far = exact.table, ranges(exact, 0.0)[0], ranges(exact, 5.0)[0]
-    span = np.diff(near.mean(axis=2), axis=1)
+    lines, at_ends, extended = exact.table, ranges(exact, 0.0)[0], ranges(exact, 5.0)[0]
+    span = np.diff(at_ends.mean(axis=2), axis=1)
     share = 5.0 / np.asarray(lines.length_px)[0, exact.true[:, 0], None]
     np.testing.assert_allclose(
-        (far - near)[..., 1] / span, np.broadcast_to(share, (*span.shape[:1], 2))
+        (extended - at_ends)[..., 1] / span, np.broadcast_to(share, (*span.shape[:1], 2))
     )

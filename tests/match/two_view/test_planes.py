@@ -1,4 +1,4 @@
-"""Planes of sight: distances, magnifications and variances against plain geometry."""
+"""Planes of sight: distances, magnifications and variances agree with elementary geometry."""
 
 import jax
 import numpy as np
@@ -20,14 +20,14 @@ VIEW = 1
 
 
 def sights(lines, segments):
-    """Of one view, all segments at once."""
+    """Planes of sight of all segments of one view."""
     clutter = ClutterModel(np.zeros(lines.length_px.shape), np.array(30.0))
     return segment_planes(lines, clutter, np.array([VIEW]), segments[None])
 
 
 @jax.jit
 def planes_at(lines, segments, points_mm):
-    """(planes, (v00, v01, v11) of the distances, length of the image), of the only view."""
+    """Planes, variances (v00, v01, v11) of the distances and image lengths of the only view."""
     points = vector3(points_mm.swapaxes(0, 1))
     sight = sights(lines, segments)
     planes = interpretation_planes(sight, points)
@@ -55,35 +55,35 @@ def distances_mm(plane: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def found(exact: MadeScene) -> tuple[InterpretationPlanes, list, np.ndarray]:
-    """At both ends of the lines, moved away from their planes by some millimetres."""
+def at_line_ends(exact: MadeScene) -> tuple[InterpretationPlanes, list, np.ndarray]:
+    """Results at both ends of the lines, which are moved off their planes by some millimetres."""
     return jax.tree.map(
-        np.asarray, planes_at(exact.seen.lines, exact.true[:, VIEW], exact.lines_mm + 1.0)
+        np.asarray, planes_at(exact.inputs.lines, exact.true[:, VIEW], exact.lines_mm + 1.0)
     )
 
 
-def test_normals_and_distances_are_those_of_the_plane(exact: MadeScene, found) -> None:
+def test_normals_and_distances_are_those_of_the_plane(exact: MadeScene, at_line_ends) -> None:
     table = exact.table
     plane = plane_of_sight(table.matrix_px[VIEW], table.ends_px[VIEW, exact.true[:, VIEW]])
-    normal = np.stack(found[0].normal, axis=1)
+    normal = np.stack(at_line_ends[0].normal, axis=1)
     sign = np.sign((normal * plane[:, :3]).sum(1))
     np.testing.assert_allclose(normal, sign[:, None] * plane[:, :3], atol=1e-10)
     expected = sign[:, None] * distances_mm(plane, exact.lines_mm + 1.0)
-    np.testing.assert_allclose(found[0].distance_mm.T, expected, atol=1e-8)
+    np.testing.assert_allclose(at_line_ends[0].distance_mm.T, expected, atol=1e-8)
 
 
-def test_places_and_lengths_are_those_of_the_images(exact: MadeScene, found) -> None:
+def test_places_and_lengths_are_those_of_the_images(exact: MadeScene, at_line_ends) -> None:
     table = exact.table
     image = image_px(table.matrix_px[VIEW], exact.lines_mm + 1.0)
     ends = table.ends_px[VIEW, exact.true[:, VIEW]]
-    np.testing.assert_allclose(found[0].interval.T, place_on(ends, image), atol=1e-10)
-    np.testing.assert_allclose(found[2], np.linalg.norm(image[:, 1] - image[:, 0], axis=1))
+    np.testing.assert_allclose(at_line_ends[0].interval.T, place_on(ends, image), atol=1e-10)
+    np.testing.assert_allclose(at_line_ends[2], np.linalg.norm(image[:, 1] - image[:, 0], axis=1))
 
 
 def test_magnification_and_variance_are_derivatives(exact: MadeScene) -> None:
     table, step, true = exact.table, 1e-4, exact.true[:, VIEW]
     matrix, ends, line = table.matrix_px[VIEW], table.ends_px[VIEW, true], table.line[VIEW, true]
-    at_line = planes_at(exact.seen.lines, true, exact.lines_mm)
+    at_line = planes_at(exact.inputs.lines, true, exact.lines_mm)
     on_plane, stated_mm2, _ = jax.tree.map(np.asarray, at_line)
     normal = np.stack(on_plane.normal, axis=1)
 
@@ -108,11 +108,11 @@ def test_magnification_and_variance_are_derivatives(exact: MadeScene) -> None:
 def test_extents_are_nearest_to_the_rays(exact: MadeScene) -> None:
     # Lines beside those that the segments show.
     lines_mm, true = exact.lines_mm + np.array([2.0, -1.0, 0.5]), exact.true[:, VIEW]
-    found = np.stack(extents(exact.seen.lines, true, lines_mm), axis=1)
+    line_extents = np.stack(extents(exact.inputs.lines, true, lines_mm), axis=1)
     table = exact.table
     along = lines_mm[:, 1] - lines_mm[:, 0]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    nearest = np.zeros_like(found)
+    nearest = np.zeros_like(line_extents)
     for n in range(len(true)):
         for end in range(2):
             ray = np.linalg.solve(
@@ -122,4 +122,4 @@ def test_extents_are_nearest_to_the_rays(exact: MadeScene) -> None:
             system = np.stack([along[n], -ray], axis=1)
             solution = np.linalg.lstsq(system, table.centre_mm[VIEW] - lines_mm[n, 0])[0]
             nearest[n, end] = solution[0]
-    np.testing.assert_allclose(found, np.sort(nearest, axis=1), atol=1e-7)
+    np.testing.assert_allclose(line_extents, np.sort(nearest, axis=1), atol=1e-7)

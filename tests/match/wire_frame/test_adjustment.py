@@ -1,4 +1,4 @@
-"""Vertices adjusted together, against generalised least squares written out for a small graph."""
+"""Joint adjustment of vertices against explicit generalised least squares on a small graph."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ EDGES = np.array([[0, 1], [0, 2], [3, 0], [1, 2], [4, 5]])
 
 
 def graph_of_exact_lines(seed: int = 0) -> Graph:
-    """Lines from vertex to vertex, so that the vertices lie at their very ends."""
+    """Lines from vertex to vertex: the vertices are exactly their ends."""
     rng = np.random.default_rng(seed)
     root = 0.1 * rng.normal(size=(len(EDGES), 6, 6))
     along = rng.uniform(0.5, 2.0, (len(EDGES), 2))
@@ -34,7 +34,7 @@ def graph_of_exact_lines(seed: int = 0) -> Graph:
 
 
 def observations(graph: Graph) -> tuple[np.ndarray, np.ndarray]:
-    """(design, weight) of every line's six numbers: across itself at both ends, and along."""
+    """Design and weight of the six numbers of every line: across it at both ends, and along it."""
     design, weight = [], []
     for ends, covariance, along, vertex in zip(*graph, strict=True):
         axes = line_axes(ends[None])[0]
@@ -43,13 +43,13 @@ def observations(graph: Graph) -> tuple[np.ndarray, np.ndarray]:
         for end in (0, 1):
             rows[3 * end : 3 * end + 3, 3 * vertex[end] : 3 * vertex[end] + 3] = axes
             by_end[3 * end : 3 * end + 3, 3 * end : 3 * end + 3] = axes
-        own = by_end @ covariance @ by_end.T
+        observation_covariance = by_end @ covariance @ by_end.T
         # What a line's covariance says along it is not used: there it stops, and that is known.
         for end in (0, 1):
-            own[3 * end + 2] = own[:, 3 * end + 2] = 0.0
-            own[3 * end + 2, 3 * end + 2] = along[end] ** 2
+            observation_covariance[3 * end + 2] = observation_covariance[:, 3 * end + 2] = 0.0
+            observation_covariance[3 * end + 2, 3 * end + 2] = along[end] ** 2
         design.append(rows)
-        weight.append(np.linalg.inv(own))
+        weight.append(np.linalg.inv(observation_covariance))
     return np.array(design), np.array(weight)
 
 
@@ -61,18 +61,20 @@ def test_the_covariance_is_that_of_generalised_least_squares() -> None:
     expected = np.linalg.inv(np.einsum("lik,lij,ljm->km", design, weight, design))
     for part in (np.arange(4), np.arange(4, 6)):
         rows = (3 * part[:, None] + np.arange(3)).ravel()
-        found = answer.joint(part).reshape(len(rows), len(rows))
-        np.testing.assert_allclose(found, expected[np.ix_(rows, rows)], rtol=1e-7, atol=1e-12)
+        joint_covariance = answer.joint(part).reshape(len(rows), len(rows))
+        np.testing.assert_allclose(
+            joint_covariance, expected[np.ix_(rows, rows)], rtol=1e-7, atol=1e-12
+        )
 
 
 def test_a_free_end_is_known_along_its_line_as_it_was_stated() -> None:
     graph = graph_of_exact_lines()
     answer = adjust_vertices(graph)
-    way = VERTICES[5] - VERTICES[4]
-    way = way / np.linalg.norm(way)
+    direction = VERTICES[5] - VERTICES[4]
+    direction = direction / np.linalg.norm(direction)
     for end, vertex in enumerate((4, 5)):
         block = answer.joint(np.array([vertex]))[0, :, 0]
-        np.testing.assert_allclose(way @ block @ way, graph.along_mm[4, end] ** 2)
+        np.testing.assert_allclose(direction @ block @ direction, graph.along_mm[4, end] ** 2)
 
 
 def test_vertices_scatter_as_their_covariance_says() -> None:
@@ -108,8 +110,8 @@ def test_a_plane_is_that_of_generalised_least_squares() -> None:
     design = np.column_stack([points[:4, :2], np.ones(4)])
     slope = np.linalg.solve(design.T @ weight @ design, design.T @ weight @ points[:4, 2])
     np.testing.assert_allclose(-normal[:2] / normal[2], slope[:2], atol=1e-5)
-    left = points[:4, 2] - design @ slope
-    np.testing.assert_allclose(face.chi_square, left @ weight @ left, rtol=1e-3)
+    residual = points[:4, 2] - design @ slope
+    np.testing.assert_allclose(face.chi_square, residual @ weight @ residual, rtol=1e-3)
     spread = np.linalg.inv(design.T @ weight @ design)
     # The normal is (-a, -b, 1) up to its length, which is 1 to second order.
     np.testing.assert_allclose(face.covariance[:2, :2], spread[:2, :2], rtol=0.01)
@@ -133,14 +135,14 @@ def test_where_a_line_stops_is_known_by_its_own_variance_and_the_detectors() -> 
 
 
 def test_vertices_beside_a_plane_are_in_it_as_far_as_all_four_err() -> None:
-    """Three corners of a square and its middle, which is a mean of two of them."""
+    """Three corners of a square and its middle, which is the mean of two of the corners."""
     tuning, sigma_mm = DEFAULT, 0.1
-    places = np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0], [5, 5, 0]])
+    vertices_mm = np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0], [5, 5, 0]])
     # Of the middle less the mean of the second and the third.
     of_offset = sigma_mm * np.sqrt(1 + 0.25 + 0.25)
     limit = np.sqrt(chi_square_limit(tuning.collinear.significance, 1)) * of_offset
     for share, inside in ((0.95, True), (1.05, False)):
-        points = places.copy()
+        points = vertices_mm.copy()
         points[3, 2] = share * limit
         answer = AdjustedGraph(
             points,
@@ -150,13 +152,13 @@ def test_vertices_beside_a_plane_are_in_it_as_far_as_all_four_err() -> None:
             np.zeros((0, 2, 3)),
             np.zeros((0, 2, 3, 2, 3)),
         )
-        near = _vertices_near_plane(answer, np.arange(3), tuning)
-        assert near is not None
-        assert near.tolist() == [True, True, True, inside]
+        is_in_plane = _vertices_near_plane(answer, np.arange(3), tuning)
+        assert is_in_plane is not None
+        assert is_in_plane.tolist() == [True, True, True, inside]
 
 
 def test_an_error_common_to_all_vertices_moves_none_off_the_plane_of_others() -> None:
-    """As the joint covariance says of draws: the distance from the plane has that variance."""
+    """The limit is in sigmas of the distance from the plane, computed from draws."""
     rng, tuning = np.random.default_rng(3), DEFAULT
     corners = np.array([[0.0, 0, 0], [30, 0, 0], [0, 20, 0], [18, 14, 0]])
     # All vertices rise by one error of 1 mm, and each by .05 mm of its own.
@@ -179,6 +181,6 @@ def test_an_error_common_to_all_vertices_moves_none_off_the_plane_of_others() ->
             np.zeros((0, 2, 3)),
             np.zeros((0, 2, 3, 2, 3)),
         )
-        near = _vertices_near_plane(answer, np.arange(3), tuning)
-        assert near is not None
-        assert near.tolist() == [True, True, True, inside]
+        is_in_plane = _vertices_near_plane(answer, np.arange(3), tuning)
+        assert is_in_plane is not None
+        assert is_in_plane.tolist() == [True, True, True, inside]

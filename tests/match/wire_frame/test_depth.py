@@ -1,4 +1,4 @@
-"""Depth pictures against the depth of what was put before the camera."""
+"""Depth pictures agree with the true depth of the scene."""
 
 import numpy as np
 import pytest
@@ -25,8 +25,8 @@ def test_depth_is_that_of_the_lines_and_of_the_plane_between() -> None:
     assert len(matches) == 4
     sparse = depth_map(matches, rig, "upper")
     filled = depth_map(matches, rig, "upper", filled=True)
-    known = np.isfinite(sparse)
-    assert 150 < known.sum() < np.isfinite(filled).sum() / 5
+    on_lines = np.isfinite(sparse)
+    assert 150 < on_lines.sum() < np.isfinite(filled).sum() / 5
     # By hand: where the ray of each pixel meets the plane through three corners.
     normal = np.cross(CORNERS[1] - CORNERS[0], CORNERS[3] - CORNERS[0])
     matrix = rig["upper"].matrix_px
@@ -37,7 +37,7 @@ def test_depth_is_that_of_the_lines_and_of_the_plane_between() -> None:
     depth = matrix[2, :3] @ points + matrix[2, 3]
     # Along the lines a pixel stands for points up to a pixel away.
     np.testing.assert_allclose(filled[row, column], depth, atol=1.0)
-    inner = np.isfinite(filled) & ~known
+    inner = np.isfinite(filled) & ~on_lines
     np.testing.assert_allclose(filled[inner], depth[inner[row, column]], atol=1e-3)
 
 

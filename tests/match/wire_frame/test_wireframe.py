@@ -1,4 +1,4 @@
-"""The wire frame of a known solid, from exact and from noisy lines."""
+"""Wire frame of a known solid, from exact and from noisy lines."""
 
 import dataclasses
 from collections import Counter
@@ -31,9 +31,9 @@ def frame_of(
 
 
 def corner_errors(frame: Wireframe, true_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(errors, squares in units of the covariance) of all vertices from the nearest true ones."""
-    apart = np.linalg.norm(frame.vertices_mm[:, None] - true_mm, axis=2)
-    error = frame.vertices_mm - true_mm[apart.argmin(axis=1)]
+    """(errors, squared Mahalanobis distances) of all vertices from the nearest true ones."""
+    distance = np.linalg.norm(frame.vertices_mm[:, None] - true_mm, axis=2)
+    error = frame.vertices_mm - true_mm[distance.argmin(axis=1)]
     solved = np.linalg.solve(frame.vertices_covariance_mm2, error[:, :, None])[..., 0]
     return error, (error * solved).sum(axis=1)
 
@@ -45,12 +45,14 @@ def test_a_cube_has_eight_corners_twelve_edges_and_six_faces(rig, seed) -> None:
     assert len(frame) == 12
     assert sorted(map(len, frame.faces)) == [4] * 6
     # Every edge borders two faces, which run along it in opposite directions.
-    ways = Counter(
+    directed_edges = Counter(
         (a, b)
         for f in frame.faces
         for a, b in zip(f.tolist(), np.roll(f, -1).tolist(), strict=True)
     )
-    assert {tuple(sorted(way)) for way in ways} == {tuple(pair) for pair in frame.edges.tolist()}
+    assert {tuple(sorted(edge)) for edge in directed_edges} == {
+        tuple(pair) for pair in frame.edges.tolist()
+    }
     assert len(frame.let_go) == 0
     assert frame.checked.all()
     error, _ = corner_errors(frame, CUBE.vertices_mm)
@@ -99,10 +101,10 @@ def test_planes_and_vertices_are_as_far_off_as_their_covariance_says(rig) -> Non
         for plane, covariance, loop in zip(
             frame.planes, frame.planes_covariance, frame.faces, strict=True
         ):
-            apart = np.linalg.norm(
+            nearest = np.linalg.norm(
                 frame.vertices_mm[loop][:, None] - CUBE.vertices_mm, axis=2
             ).argmin(axis=1)
-            true = np.linalg.svd(np.column_stack([CUBE.vertices_mm[apart], -np.ones(4)]))[2][3]
+            true = np.linalg.svd(np.column_stack([CUBE.vertices_mm[nearest], -np.ones(4)]))[2][3]
             true *= np.sign(true[:3] @ plane[:3]) / np.linalg.norm(true[:3])
             planes.append((plane - true) @ np.linalg.pinv(covariance, 1e-9) @ (plane - true))
     assert len(corners) == 24 * 8
@@ -114,9 +116,9 @@ def test_planes_and_vertices_are_as_far_off_as_their_covariance_says(rig) -> Non
 
 def test_what_is_known_together_is_known_better(rig) -> None:
     flat, loose = (frame_of(rig, seed=4, flat=flat) for flat in (True, False))
-    held = [np.trace(block) for block in flat.vertices_covariance_mm2]
-    free = [np.trace(block) for block in loose.vertices_covariance_mm2]
-    assert (np.array(held) < np.array(free) + 1e-12).all()
+    flat_traces = [np.trace(block) for block in flat.vertices_covariance_mm2]
+    loose_traces = [np.trace(block) for block in loose.vertices_covariance_mm2]
+    assert (np.array(flat_traces) < np.array(loose_traces) + 1e-12).all()
     assert flat.joint_covariance_mm2[0].shape == (24, 24)
     # A length is surer than two ends that err apart.
     pair = flat.edges[0]
@@ -133,16 +135,16 @@ def test_the_order_of_tracks_and_their_ends_changes_only_the_numbering(rig) -> N
         for name in ("index", "fragments_px", "fragments_covariance_px2", "lines_mm")
     }
     fields["covariance_mm2"] = matches.covariance_mm2[rank]
-    again = wireframe(dataclasses.replace(matches, **fields), rig, tuning=AS_STATED)
+    reordered = wireframe(dataclasses.replace(matches, **fields), rig, tuning=AS_STATED)
     frame = wireframe(matches, rig, tuning=AS_STATED)
-    nearest = np.linalg.norm(frame.vertices_mm[:, None] - again.vertices_mm, axis=2)
+    nearest = np.linalg.norm(frame.vertices_mm[:, None] - reordered.vertices_mm, axis=2)
     to = nearest.argmin(axis=1)
-    np.testing.assert_allclose(again.vertices_mm[to], frame.vertices_mm, atol=1e-6)
+    np.testing.assert_allclose(reordered.vertices_mm[to], frame.vertices_mm, atol=1e-6)
     np.testing.assert_allclose(
-        again.vertices_covariance_mm2[to], frame.vertices_covariance_mm2, rtol=1e-4, atol=1e-9
+        reordered.vertices_covariance_mm2[to], frame.vertices_covariance_mm2, rtol=1e-4, atol=1e-9
     )
     edges = {tuple(sorted(pair)) for pair in to[frame.edges].tolist()}
-    assert edges == {tuple(pair) for pair in again.edges.tolist()}
+    assert edges == {tuple(pair) for pair in reordered.edges.tolist()}
 
 
 def test_a_rigid_motion_of_the_world_moves_the_frame(rig) -> None:
@@ -178,7 +180,7 @@ def test_a_rigid_motion_of_the_world_moves_the_frame(rig) -> None:
 
 
 def with_track_moved(matches: Matches, rig: Rig, track: int, line_mm: np.ndarray) -> Matches:
-    """The same matches, of which one shows another line."""
+    """The same matches with one track that shows another line."""
     other = tracks_of(rig, line_mm[None], sigma_px=0.2)
     fields = {}
     for name in ("fragments_px", "fragments_covariance_px2", "lines_mm", "covariance_mm2"):
@@ -203,8 +205,8 @@ def test_a_gross_wrong_edge_is_let_go_and_named(rig) -> None:
     assert frame.corner.sum() == 8
     assert len(frame.planes) == 4
     corners = frame.vertices_mm[frame.corner]
-    apart = np.linalg.norm(corners[:, None] - CUBE.vertices_mm, axis=2)
-    assert apart.min(axis=1).max() < 0.6
+    distance = np.linalg.norm(corners[:, None] - CUBE.vertices_mm, axis=2)
+    assert distance.min(axis=1).max() < 0.6
 
 
 def test_lines_between_the_same_corners_are_one_edge(rig) -> None:
@@ -225,9 +227,9 @@ def test_of_one_line_and_of_parallel_ones_there_are_edges_and_free_ends(rig) -> 
         assert len(frame.planes) == 0
         assert len(frame.let_go) == 0
         # Along its line a free end is known to seven pixels, some three millimetres.
-        way = np.diff(frame.lines_mm, axis=1)[:, 0]
-        way /= np.linalg.norm(way, axis=1, keepdims=True)
-        along = np.einsum("ei,eij,ej->e", way, frame.covariance_mm2[:, :3, :3], way)
+        direction = np.diff(frame.lines_mm, axis=1)[:, 0]
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        along = np.einsum("ei,eij,ej->e", direction, frame.covariance_mm2[:, :3, :3], direction)
         assert (np.sqrt(along) > 1.0).all()
 
 
