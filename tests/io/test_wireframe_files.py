@@ -1,4 +1,4 @@
-"""Wire frames as files: what is written is what is read, and what other tools find in it."""
+"""Files of wireframes: the round trip is exact, and other formats contain the edges."""
 
 import dataclasses
 import json
@@ -33,7 +33,7 @@ def test_what_is_written_is_what_is_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "said"),
+    ("name", "value", "message"),
     [
         ("edges", np.full((7, 2), 7), "names a vertex that is not there"),
         ("part", np.array([0] * 6 + [2]), "leaves a part without a vertex"),
@@ -42,13 +42,13 @@ def test_what_is_written_is_what_is_read(tmp_path):
         ("joint_covariance_mm2", np.full(225 + 36, np.nan), "is no covariance"),
     ],
 )
-def test_what_no_wire_frame_has_is_refused(tmp_path, name, value, said):
+def test_what_no_wire_frame_has_is_refused(tmp_path, name, value, message):
     file = tmp_path / "wireframe.npz"
     trinoc.save(FRAME, file)
     with np.load(file) as content:
         arrays = dict(content)
     np.savez(tmp_path / "wrong.npz", **{**arrays, name: value})
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         trinoc.load(tmp_path / "wrong.npz")
 
 

@@ -35,11 +35,11 @@ def fisheye_rig() -> Rig:
 
 def by_opencv(points, rotation_vector, translation, matrix, distortion, fisheye=False):
     rotation, _ = cv2.Rodrigues(np.asarray(rotation_vector, dtype=np.float64))
-    seen = points @ rotation.T + np.ravel(translation)
-    still, lens = np.zeros(3), (np.asarray(matrix), np.ravel(distortion))
+    points_cam = points @ rotation.T + np.ravel(translation)
+    zeros, lens = np.zeros(3), (np.asarray(matrix), np.ravel(distortion))
     if fisheye:
-        return cv2.fisheye.projectPoints(seen[None], still, still, *lens)[0].reshape(-1, 2)
-    return cv2.projectPoints(seen, still, still, *lens)[0].reshape(-1, 2)
+        return cv2.fisheye.projectPoints(points_cam[None], zeros, zeros, *lens)[0].reshape(-1, 2)
+    return cv2.projectPoints(points_cam, zeros, zeros, *lens)[0].reshape(-1, 2)
 
 
 @pytest.mark.parametrize("rig", [RIG, fisheye_rig()], ids=["perspective", "fisheye"])
@@ -50,8 +50,8 @@ def test_tables_are_arguments_of_opencv(tmp_path, name, unit_mm, rig):
     tables = document["cameras"].values() if name == "caliscope" else document.values()
     tables = [table for table in tables if "matrix" in table]
     assert len(tables) == 3
-    for table, (own, camera) in zip(tables, rig.items(), strict=True):
-        assert table.get("name", own) == own
+    for table, (camera_name, camera) in zip(tables, rig.items(), strict=True):
+        assert table.get("name", camera_name) == camera_name
         assert tuple(table["size"]) == camera.image_size_px
         keys = ("rotation", "translation", "matrix", "distortions", "fisheye")
         images = by_opencv(CORNERS / unit_mm, *(table[key] for key in keys))
@@ -96,7 +96,7 @@ def test_freemocap_s_file_is_read(tmp_path):
 
 
 def test_caliscope_s_earlier_files_are_read(tmp_path):
-    """With numbers of quarter turns, matrices for rotations, and tables of other things."""
+    """Such a file has counts of quarter turns, rotation matrices and unrelated tables."""
     FORMATS["caliscope"].save(RIG, tmp_path / "rig.toml")
     before = FORMATS["caliscope"].load(tmp_path / "rig.toml")
     text = (tmp_path / "rig.toml").read_text().replace("[cameras.", "[cam_")
@@ -204,7 +204,7 @@ def spoil(path, old, new):
 
 
 @pytest.mark.parametrize(
-    ("file", "old", "new", "says"),
+    ("file", "old", "new", "message"),
     [
         ("intri.yml", "W_upper: 512\n", "", "has no W_upper: add H_upper and W_upper"),
         ("extri.yml", r'- "upper"|"upper", ', "", 'does not name "upper"'),
@@ -212,15 +212,15 @@ def spoil(path, old, new):
         ("extri.yml", "R_upper", "Q_upper", '"upper.R" must be'),
     ],
 )
-def test_what_easymocap_s_files_lack_is_named(file, old, new, says, tmp_path):
+def test_what_easymocap_s_files_lack_is_named(file, old, new, message, tmp_path):
     FORMATS["easymocap"].save(RIG, tmp_path / "rig")
     spoil(tmp_path / "rig" / file, old, new)
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match=message):
         FORMATS["easymocap"].load(tmp_path / "rig")
 
 
 @pytest.mark.parametrize(
-    ("name", "old", "new", "says"),
+    ("name", "old", "new", "message"),
     [
         ("anipose", r"\[cam_0\]", "[cameras.0]", "import the file with the format caliscope"),
         ("anipose", "name = .*", 'name = "right"', "the name of an earlier camera"),
@@ -236,10 +236,10 @@ def test_what_easymocap_s_files_lack_is_named(file, old, new, says, tmp_path):
         ("multical", '"camera_poses"', '"poses"', "is missing, as in intrinsic.json"),
     ],
 )  # fmt: skip
-def test_what_a_file_lacks_is_named(name, old, new, says, tmp_path):
+def test_what_a_file_lacks_is_named(name, old, new, message, tmp_path):
     path = tmp_path / f"rig{FORMATS[name].endings[0]}"
     FORMATS[name].save(RIG, path)
     spoil(path, old, new)
-    with pytest.raises(InputError, match=says) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         FORMATS[name].load(path)
     assert str(path) in str(caught.value)

@@ -58,11 +58,11 @@ def test_a_lens_comes_back(model, name, tmp_path):
     FORMATS[name].save(rig, place(name, tmp_path))
     names = rig.names if NAMES in FORMATS[name].loses else None
     back = FORMATS[name].load(place(name, tmp_path), names=names)
-    for own, camera in rig.items():
-        found = back[own]
-        assert found.intrinsics.lens.model == model
+    for camera_name, camera in rig.items():
+        loaded = back[camera_name]
+        assert loaded.intrinsics.lens.model == model
         world = in_frame_of(rig.cameras[0]) if name == "kalibr" else CORNERS
-        np.testing.assert_allclose(pixels(found, world), pixels(camera), **SAME)
+        np.testing.assert_allclose(pixels(loaded, world), pixels(camera), **SAME)
 
 
 @pytest.mark.parametrize("name", ["opencv", "ros", "colmap", "mrcal"])
@@ -86,14 +86,14 @@ def test_opencv_s_fisheye_projects_what_is_written(tmp_path):
     rig = rig_with("kannala_brandt", COEFFICIENTS["kannala_brandt"])
     FORMATS["opencv"].save(rig, tmp_path / "rig.yml")
     storage = cv2.FileStorage(str(tmp_path / "rig.yml"), cv2.FILE_STORAGE_READ)
-    node, still = storage.getNode("cameras").at(0), np.zeros(3)
+    node, zeros = storage.getNode("cameras").at(0), np.zeros(3)
     assert node.getNode("fisheye_model").real() == 1
     matrix, distortion = (
         node.getNode(key).mat() for key in ("camera_matrix", "distortion_coefficients")
     )
-    seen = in_frame_of(rig.cameras[0])[:, None]
-    found, _ = cv2.fisheye.projectPoints(seen, still, still, matrix, distortion)
-    np.testing.assert_allclose(found.reshape(-1, 2), pixels(rig.cameras[0]), **SAME)
+    points_cam = in_frame_of(rig.cameras[0])[:, None]
+    images, _ = cv2.fisheye.projectPoints(points_cam, zeros, zeros, matrix, distortion)
+    np.testing.assert_allclose(images.reshape(-1, 2), pixels(rig.cameras[0]), **SAME)
 
 
 @pytest.mark.parametrize("model", LENS_MODELS)

@@ -1,4 +1,4 @@
-"""What is written and read again projects the same points to the same pixels."""
+"""A rig that is written and read projects the same points to the same pixels."""
 
 import tempfile
 from pathlib import Path
@@ -17,7 +17,7 @@ from trinoc.io.formats.format import LENSES, NAMES, WORLD
 
 SAME = {"rtol": 0, "atol": 1e-9}
 # What differs from a rig of one to four cameras with five coefficients and no skew.
-RIGS = {"kalibr": rigs(coefficients=4), "matlab": rigs(skew=True, fewest=2)}
+RIGS = {"kalibr": rigs(coefficients=4), "matlab": rigs(skew=True, min_cameras=2)}
 OF_CAMERAS = [n for n, each in FORMATS.items() if "rig" in each.reads and "rig" in each.holds]
 # The same file by another ending, .yaml for .yml, is not another test.
 ENDINGS = [
@@ -38,8 +38,8 @@ def test_a_rig_comes_back(name, ending, data):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"rig{ending}"
         form.save(rig, path, unit_mm=unit_mm)
-        known = {own: camera.intrinsics for own, camera in rig.items()}
-        lens_of = known if LENSES in form.loses else None
+        lens_by_name = {camera_name: camera.intrinsics for camera_name, camera in rig.items()}
+        lens_of = lens_by_name if LENSES in form.loses else None
         names = rig.names if NAMES in form.loses else None
         back = form.load(path, unit_mm=unit_mm, lenses=lens_of, names=names)
     assert isinstance(back, Rig)
@@ -47,9 +47,9 @@ def test_a_rig_comes_back(name, ending, data):
     if name != "mrcal":  # whose folder has no order
         assert back.names == rig.names
     world = in_frame_of(rig.cameras[0]) if WORLD in form.loses else CORNERS
-    for own, camera in rig.items():
-        assert back[own].image_size_px == camera.image_size_px
-        np.testing.assert_allclose(pixels(back[own], world), pixels(camera), **SAME)
+    for camera_name, camera in rig.items():
+        assert back[camera_name].image_size_px == camera.image_size_px
+        np.testing.assert_allclose(pixels(back[camera_name], world), pixels(camera), **SAME)
 
 
 @pytest.mark.parametrize("name", ["opencv", "matlab"])
@@ -64,7 +64,9 @@ def test_a_covariance_comes_back_where_there_is_room_for_it(name, cameras, tmp_p
         assert back.parameters == rig.parameters
         np.testing.assert_array_equal(back.covariance, rig.covariance)
         renamed = form.load(tmp_path / f"rig{ending}", names=("a", "b", "c")[:cameras])
-        assert renamed.parameters == tuple(f"{own}.pan_deg" for own in renamed.names)
+        assert renamed.parameters == tuple(
+            f"{camera_name}.pan_deg" for camera_name in renamed.names
+        )
 
 
 ANY_NAME = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=9).filter(
@@ -87,12 +89,12 @@ def test_any_printable_name_comes_back_from_opencv(ending, names):
 @given(rig=rigs(coefficients=0))
 def test_cameras_that_were_matrices_have_no_skew_to_refuse(rig):
     """Taking a matrix apart leaves a skew of rounding errors."""
-    again = Rig.from_matrices(
+    refactored = Rig.from_matrices(
         {name: 3.7 * camera.matrix_px for name, camera in rig.items()},
         {name: camera.image_size_px for name, camera in rig.items()},
     )
     with tempfile.TemporaryDirectory() as folder:
-        FORMATS["colmap"].save(again, Path(folder) / "rig")
+        FORMATS["colmap"].save(refactored, Path(folder) / "rig")
         back = FORMATS["colmap"].load(Path(folder) / "rig")
     for name, camera in rig.items():
         np.testing.assert_allclose(pixels(back[name]), pixels(camera), rtol=0, atol=1e-8)
@@ -124,7 +126,7 @@ def test_segments_come_back_to_the_last_digit(name, count, tmp_path):
 
 
 @settings(max_examples=3)
-@given(rig=rigs(coefficients=4, fewest=3, most=3))
+@given(rig=rigs(coefficients=4, min_cameras=3, max_cameras=3))
 def test_names_are_given_to_cameras_in_their_order(rig):
     form = FORMATS["kalibr"]
     with tempfile.TemporaryDirectory() as folder:
