@@ -30,13 +30,13 @@ def test_a_board_is_drawn_with_its_layout(board, corners, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["corners"] == corners
     assert len(load_target(layout)) == corners
     assert "<polygon" in layout.with_suffix(".svg").read_text()
-    again = tmp_path / "again.json"
-    assert main(["pattern", str(layout), "--paper", "a3", "-o", str(again)]) == 0
-    assert again.read_text() == layout.read_text()
+    second_layout = tmp_path / "again.json"
+    assert main(["pattern", str(layout), "--paper", "a3", "-o", str(second_layout)]) == 0
+    assert second_layout.read_text() == layout.read_text()
 
 
 @pytest.mark.parametrize(
-    ("places", "says", "status"),
+    ("folders", "message", "status"),
     [
         ([], "No pictures are given", 2),
         (["left"], "names no camera", 2),
@@ -45,14 +45,14 @@ def test_a_board_is_drawn_with_its_layout(board, corners, tmp_path, capsys):
         (["left=pictures"], 'found in no image of camera "left"', 1),
     ],
 )
-def test_mistakes_are_told_in_one_sentence(places, says, status, tmp_path, monkeypatch, capsys):
+def test_mistakes_are_told_in_one_sentence(folders, message, status, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "pictures").mkdir()
     cv2.imwrite("pictures/1.png", np.full((60, 80), 100, np.uint8))
     assert main(["pattern", "charuco", "-o", "board.json", "--quiet"]) == 0
     capsys.readouterr()
-    assert main(["calibrate-rig", *places, "--board", "board.json", "--quiet"]) == status
-    assert says in capsys.readouterr().err
+    assert main(["calibrate-rig", *folders, "--board", "board.json", "--quiet"]) == status
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "rig.json").exists()
 
 
@@ -87,9 +87,9 @@ def test_boards_that_look_alike_are_told_apart_by_their_first_marker(tmp_path, m
     capsys.readouterr()
     both = ["calibrate-rig", "left=pictures", "--quiet", "--board", "front.json", "--board"]
     assert main([*both, "back.json"]) == 1
-    said = capsys.readouterr().err
+    stderr = capsys.readouterr().err
     assert (
-        'The boards "front" and "back" look alike in an image: both have the marker 19 of' in said
+        'The boards "front" and "back" look alike in an image: both have the marker 19 of' in stderr
     )
     assert main([*both, "side.json"]) == 1
     assert "None of the boards front, side was found" in capsys.readouterr().err
