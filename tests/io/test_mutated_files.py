@@ -34,7 +34,7 @@ def damages(draw):
     kind = draw(st.sampled_from(["cut", "flip", "put", "replace", "repeat"]))
     fraction, length = draw(st.floats(0, 1)), draw(st.integers(1, 12))
     bits = draw(st.integers(1, 255))
-    come = draw(st.sampled_from([*HUGE, *ODD]) | st.binary(max_size=6))
+    inserted = draw(st.sampled_from([*HUGE, *ODD]) | st.binary(max_size=6))
 
     def damaged(content):
         offset = int(fraction * len(content))
@@ -45,9 +45,9 @@ def damages(draw):
                 offset = min(offset, len(content) - 1)
                 return content[:offset] + bytes([content[offset] ^ bits]) + content[offset + 1 :]
             case "put":
-                return content[:offset] + come + content[offset:]
+                return content[:offset] + inserted + content[offset:]
             case "replace":
-                return content[:offset] + come + content[offset + length :]
+                return content[:offset] + inserted + content[offset + length :]
             case _:
                 return content[:offset] + content[offset : offset + length] * 40 + content[offset:]
 

@@ -31,8 +31,8 @@ def fields_are_equal(one: object, other: object) -> None:
 def test_what_is_written_is_what_is_read(tmp_path):
     file = tmp_path / "rims.npz"
     trinoc.save(RIMS, file)
-    for back in (trinoc.load(file), trinoc.load(file)):
-        fields_are_equal(RIMS, back)
+    for loaded in (trinoc.load(file), trinoc.load(file)):
+        fields_are_equal(RIMS, loaded)
 
 
 @pytest.mark.parametrize(
@@ -79,8 +79,8 @@ def test_marked_tracks_stay_marked_in_their_file(tmp_path):
     matches = bench_matches()
     silhouette = np.linspace(0.0, 1.0, len(matches))
     trinoc.save(matches.with_marks(silhouette=silhouette), tmp_path / "matches.npz")
-    back = trinoc.load_matches(tmp_path / "matches.npz")
-    np.testing.assert_array_equal(back.marks["silhouette"], silhouette)
+    loaded = trinoc.load_matches(tmp_path / "matches.npz")
+    np.testing.assert_array_equal(loaded.marks["silhouette"], silhouette)
     trinoc.save(matches, tmp_path / "plain.npz")
     assert trinoc.load_matches(tmp_path / "plain.npz").marks == {}
 

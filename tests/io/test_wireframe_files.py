@@ -16,20 +16,20 @@ FRAME = made_wireframe()
 
 def test_what_is_written_is_what_is_read(tmp_path):
     trinoc.save(FRAME, tmp_path / "wireframe.npz")
-    for back in (
+    for loaded in (
         trinoc.load(tmp_path / "wireframe.npz"),
         trinoc.load(tmp_path / "wireframe.npz"),
     ):
         for field in dataclasses.fields(FRAME):
-            one, other = getattr(FRAME, field.name), getattr(back, field.name)
+            written, loaded_values = getattr(FRAME, field.name), getattr(loaded, field.name)
             if field.name == "joint_covariance_mm2":
-                for a, b in zip(one, other, strict=True):
+                for a, b in zip(written, loaded_values, strict=True):
                     np.testing.assert_array_equal(a, b)
-            elif isinstance(one, np.ndarray):
-                np.testing.assert_array_equal(one, other)
-                assert one.dtype == other.dtype
+            elif isinstance(written, np.ndarray):
+                np.testing.assert_array_equal(written, loaded_values)
+                assert written.dtype == loaded_values.dtype
             else:
-                assert one == other
+                assert written == loaded_values
 
 
 @pytest.mark.parametrize(

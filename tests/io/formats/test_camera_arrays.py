@@ -111,9 +111,9 @@ def test_caliscope_s_earlier_files_are_read(tmp_path):
     ignored = '[cam_7]\nsize = [4, 3]\nignore = true\nrotation = "null"\n'
     text = f"CreationDate = 2023-05-06T11:12:27\n{text}\n{others}{ignored}"
     (tmp_path / "rig.toml").write_text(text)
-    back = FORMATS["caliscope"].load(tmp_path / "rig.toml")
-    assert back.names == before.names == ("cam_0", "cam_1", "cam_2")
-    for camera, other in zip(back.cameras, before.cameras, strict=True):
+    loaded = FORMATS["caliscope"].load(tmp_path / "rig.toml")
+    assert loaded.names == before.names == ("cam_0", "cam_1", "cam_2")
+    for camera, other in zip(loaded.cameras, before.cameras, strict=True):
         np.testing.assert_allclose(pixels(camera), pixels(other), rtol=0, atol=1e-8)
 
 
@@ -136,10 +136,10 @@ def test_multical_s_relative_poses_lead_from_the_first_camera(tmp_path):
         FORMATS["multical"].load(tmp_path / "calibration.json")
     document["camera_poses"][first] = {"R": np.eye(3).tolist(), "T": [0, 0, 0]}
     (tmp_path / "calibration.json").write_text(json.dumps(document))
-    back = FORMATS["multical"].load(tmp_path / "calibration.json")
-    assert back.names == RIG.names
+    loaded = FORMATS["multical"].load(tmp_path / "calibration.json")
+    assert loaded.names == RIG.names
     for name, camera in list(RIG.items())[1:]:
-        np.testing.assert_allclose(back[name].cam_from_world, camera.cam_from_world, atol=1e-9)
+        np.testing.assert_allclose(loaded[name].cam_from_world, camera.cam_from_world, atol=1e-9)
 
 
 def test_a_column_of_four_is_multical_s_fisheye(tmp_path):
@@ -148,8 +148,8 @@ def test_a_column_of_four_is_multical_s_fisheye(tmp_path):
     for name, dist in (("upper", [[0.1], [0.0], [0.0], [0.0]]), ("left", [0.1, 0.0, 0.0, 0.0])):
         document["cameras"][name]["dist"] = dist
     (tmp_path / "calibration.json").write_text(json.dumps(document))
-    back = FORMATS["multical"].load(tmp_path / "calibration.json")
-    models = [back[name].intrinsics.lens.model for name in ("upper", "left")]
+    loaded = FORMATS["multical"].load(tmp_path / "calibration.json")
+    models = [loaded[name].intrinsics.lens.model for name in ("upper", "left")]
     assert models == ["kannala_brandt", "brown_conrady"]
     with pytest.raises(InputError, match="kannala_brandt, which multical"):
         FORMATS["multical"].save(fisheye_rig(), tmp_path / "again.json")

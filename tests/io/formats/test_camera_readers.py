@@ -75,10 +75,10 @@ def test_a_stereo_pair_of_opencv_s_sample_is_read(tmp_path):
     document = json.loads((tmp_path / "stereo.json").read_text())
     del document["cameras"]
     (tmp_path / "stereo.json").write_text(json.dumps(document))
-    back = FORMATS["opencv"].load(tmp_path / "stereo.json")
-    assert back.names == ("left", "right")
+    loaded = FORMATS["opencv"].load(tmp_path / "stereo.json")
+    assert loaded.names == ("left", "right")
     np.testing.assert_allclose(
-        pixels(back["right"], in_frame_of(pair.cameras[0])), pixels(pair.cameras[1]), **SAME
+        pixels(loaded["right"], in_frame_of(pair.cameras[0])), pixels(pair.cameras[1]), **SAME
     )
 
 
@@ -146,10 +146,10 @@ def test_frames_between_world_and_camera_are_followed(tmp_path):
     )
     (tmp_path / "tf.json").write_text(json.dumps(document))
     lenses = {name: camera.intrinsics for name, camera in RIG.items()}
-    back = FORMATS["tf"].load(tmp_path / "tf.json", lenses=lenses)
+    loaded = FORMATS["tf"].load(tmp_path / "tf.json", lenses=lenses)
     moved = CORNERS @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]]) + (1000, 0, 500)
     for name, camera in RIG.items():
-        np.testing.assert_allclose(pixels(back[name], moved), pixels(camera), rtol=0, atol=1e-8)
+        np.testing.assert_allclose(pixels(loaded[name], moved), pixels(camera), rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("read", yaml_readers())
@@ -204,14 +204,14 @@ def test_a_model_that_pycolmap_writes_is_read(tmp_path, write):
         folder = tmp_path / model_name
         folder.mkdir()
         getattr(dataset, write)(str(folder))
-        back = FORMATS["colmap"].load(folder)
-        assert len(back) == dataset.num_reg_images() == 8
+        loaded = FORMATS["colmap"].load(folder)
+        assert len(loaded) == dataset.num_reg_images() == 8
         points = np.array([point.xyz for point in dataset.points3D.values()])
         for image in dataset.images.values():
             matrix = image.cam_from_world().matrix()
             points_cam = points @ matrix[:, :3].T + matrix[:, 3]
             expected = dataset.cameras[image.camera_id].img_from_cam(points_cam) - 0.5
-            np.testing.assert_allclose(pixels(back[image.name], points), expected, **SAME)
+            np.testing.assert_allclose(pixels(loaded[image.name], points), expected, **SAME)
 
 
 def test_a_cameramodel_is_what_mrcal_documents(tmp_path):

@@ -57,9 +57,9 @@ def test_a_lens_comes_back(model, name, tmp_path):
     rig = rig_with(model, COEFFICIENTS[model])
     FORMATS[name].save(rig, place(name, tmp_path))
     names = rig.names if NAMES in FORMATS[name].loses else None
-    back = FORMATS[name].load(place(name, tmp_path), names=names)
+    loaded_rig = FORMATS[name].load(place(name, tmp_path), names=names)
     for camera_name, camera in rig.items():
-        loaded = back[camera_name]
+        loaded = loaded_rig[camera_name]
         assert loaded.intrinsics.lens.model == model
         world = in_frame_of(rig.cameras[0]) if name == "kalibr" else CORNERS
         np.testing.assert_allclose(pixels(loaded, world), pixels(camera), **SAME)
@@ -69,8 +69,8 @@ def test_a_lens_comes_back(model, name, tmp_path):
 def test_the_simplest_lens_that_holds_the_numbers_is_read(name, tmp_path):
     rig = rig_with("brown_conrady", [-0.1, 0.03, 0.002, -0.001, 0.0])
     FORMATS[name].save(rig, place(name, tmp_path))
-    back = FORMATS[name].load(place(name, tmp_path))
-    assert {camera.intrinsics.lens.model for camera in back.cameras} == {"brown_conrady"}
+    loaded_rig = FORMATS[name].load(place(name, tmp_path))
+    assert {camera.intrinsics.lens.model for camera in loaded_rig.cameras} == {"brown_conrady"}
 
 
 @pytest.mark.parametrize("name", ["mrcal", "matlab"])
@@ -78,8 +78,8 @@ def test_a_fisheye_is_never_written_as_a_pinhole(name, tmp_path):
     with pytest.raises(InputError, match="kannala_brandt, which"):
         FORMATS[name].save(rig_with("kannala_brandt", [0.0] * 4), place(name, tmp_path))
     FORMATS["opencv"].save(rig_with("kannala_brandt", [0.0] * 4), tmp_path / "rig.yml")
-    back = FORMATS["opencv"].load(tmp_path / "rig.yml")
-    assert back.cameras[0].intrinsics.lens.model == "kannala_brandt"
+    loaded_rig = FORMATS["opencv"].load(tmp_path / "rig.yml")
+    assert loaded_rig.cameras[0].intrinsics.lens.model == "kannala_brandt"
 
 
 def test_opencv_s_fisheye_projects_what_is_written(tmp_path):
@@ -101,6 +101,6 @@ def test_every_lens_survives_rig_json(model, tmp_path):
     few = [-0.1][: len(LENS_MODELS[model].coefficient_names)]
     rig = rig_with(model, COEFFICIENTS.get(model, few))
     save(rig, tmp_path / "rig.json")
-    back = load_rig(tmp_path / "rig.json")
+    loaded_rig = load_rig(tmp_path / "rig.json")
     for name, camera in rig.items():
-        np.testing.assert_allclose(pixels(back[name]), pixels(camera), **SAME)
+        np.testing.assert_allclose(pixels(loaded_rig[name]), pixels(camera), **SAME)

@@ -205,12 +205,16 @@ IN_PROCESS = [n for n in OF_CAMERAS if FORMATS[n].place == "file" and n != "matl
 
 @pytest.mark.parametrize("name", IN_PROCESS)
 @settings(max_examples=40)
-@given(offset=st.integers(0, 10**6), gone=st.integers(0, 9), come=st.binary(max_size=4))
-def test_a_damaged_file_is_a_rig_or_an_input_error(name, offset, gone, come, tmp_path_factory):
+@given(
+    offset=st.integers(0, 10**6), removed_count=st.integers(0, 9), inserted=st.binary(max_size=4)
+)
+def test_a_damaged_file_is_a_rig_or_an_input_error(
+    name, offset, removed_count, inserted, tmp_path_factory
+):
     path = written(name, tmp_path_factory.mktemp("damaged"))
     content = path.read_bytes()
     offset %= len(content)
-    path.write_bytes(content[:offset] + come + content[offset + gone :])
+    path.write_bytes(content[:offset] + inserted + content[offset + removed_count :])
     try:
         value = FORMATS[name].load(path, lenses=dict.fromkeys(RIG, LENS))
     except InputError as error:
