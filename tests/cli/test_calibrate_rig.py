@@ -85,13 +85,13 @@ def test_boards_that_look_alike_are_told_apart_by_their_first_marker(tmp_path, m
     for name, first in (("front", "0"), ("back", "19"), ("side", "20")):
         assert main(["pattern", "aprilgrid", f"first={first}", *size, "-o", f"{name}.json"]) == 0
     capsys.readouterr()
-    both = ["calibrate-rig", "left=pictures", "--quiet", "--board", "front.json", "--board"]
-    assert main([*both, "back.json"]) == 1
+    command = ["calibrate-rig", "left=pictures", "--quiet", "--board", "front.json", "--board"]
+    assert main([*command, "back.json"]) == 1
     stderr = capsys.readouterr().err
     assert (
         'The boards "front" and "back" look alike in an image: both have the marker 19 of' in stderr
     )
-    assert main([*both, "side.json"]) == 1
+    assert main([*command, "side.json"]) == 1
     assert "None of the boards front, side was found" in capsys.readouterr().err
 
 
@@ -132,8 +132,8 @@ def test_a_rig_of_two_cameras_states_their_baseline_and_draws_residuals_on_its_i
     assert abs(baseline["value"] - 150.0) < 5 * baseline["sigma"]
     # The size of the print, and the mean of its stretches along X and Y.
     assert baseline["sigma_board_size"] == pytest.approx(0.002 * np.sqrt(1.5) * 150.0, rel=0.2)
-    both = np.hypot(baseline["sigma_board_size"], baseline["sigma_rest"])
-    assert both == pytest.approx(baseline["sigma"], rel=1e-6)
+    expected = np.hypot(baseline["sigma_board_size"], baseline["sigma_rest"])
+    assert expected == pytest.approx(baseline["sigma"], rel=1e-6)
     assert abs(angle["value"] - np.degrees(0.17)) < 5 * angle["sigma"]
     assert abs(pair["turn_deg"]["y"]["value"]) == pytest.approx(angle["value"], rel=0.05)
     assert record["pixel_sigma"]["median_px"] < record["pixel_sigma"]["worst_px"]

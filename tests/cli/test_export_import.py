@@ -54,12 +54,12 @@ def test_a_rig_leaves_and_comes_back(run, name):
     status, stdout, warned = run("export", out, "--from", name, "-o", "back.json", *more, *lenses)
     assert (status, warned) == (0, "")
     assert f"3 cameras, {'with' if keeps else 'without'} covariance: " in stdout
-    back = trinoc.load_rig("back.json")
-    assert set(back.names) == set(RIG.names)
-    assert back.parameters == (RIG.parameters if keeps else ())
+    loaded = trinoc.load_rig("back.json")
+    assert set(loaded.names) == set(RIG.names)
+    assert loaded.parameters == (RIG.parameters if keeps else ())
     for camera_name, camera in RIG.items():
         np.testing.assert_allclose(
-            back[camera_name].intrinsics.matrix, camera.intrinsics.matrix, rtol=0, atol=1e-9
+            loaded[camera_name].intrinsics.matrix, camera.intrinsics.matrix, rtol=0, atol=1e-9
         )
     with open("back.json", encoding="utf-8") as file:
         provenance = json.load(file)["provenance"]
@@ -71,10 +71,10 @@ def test_poses_take_their_lenses_from_camera_files(run):
     assert run("export", "rig.json", "--to", "tf", "-o", "tf.json", "--quiet")[0] == 0
     lenses = [word for name in RIG for word in ("--lens", f"{name}=camera.json")]
     assert run("export", "tf.json", "--from", "tf", "-o", "back.json", *lenses)[0] == 0
-    back = trinoc.load_rig("back.json")
+    loaded = trinoc.load_rig("back.json")
     for camera_name, camera in RIG.items():
         np.testing.assert_allclose(
-            back[camera_name].cam_from_world, camera.cam_from_world, atol=1e-9
+            loaded[camera_name].cam_from_world, camera.cam_from_world, atol=1e-9
         )
 
 
@@ -83,8 +83,8 @@ def test_a_lens_leaves_and_comes_back(run):
     status, stdout, _ = run("export", "upper.yaml", "--from", "ros", "-o", "back.json")
     assert status == 0
     assert "a lens, without covariance" in stdout
-    back = load_intrinsics("back.json")
-    np.testing.assert_array_equal(back.distortion, RIG["upper"].intrinsics.distortion)
+    loaded = load_intrinsics("back.json")
+    np.testing.assert_array_equal(loaded.distortion, RIG["upper"].intrinsics.distortion)
 
 
 def test_a_lens_that_folds_in_the_corners_is_warned_of_where_it_is_read(run):
@@ -143,11 +143,11 @@ def test_segments_leave_and_come_back(run):
 def test_units_are_the_user_s(run):
     out = ("--to", "opencv", "-o", "metres.yml", "--unit-mm", "1000")
     assert run("export", "rig.json", *out)[0] == 0
-    back = ("--from", "opencv", "-o", "back.json")
-    assert run("export", "metres.yml", *back)[0] == 0
+    import_arguments = ("--from", "opencv", "-o", "back.json")
+    assert run("export", "metres.yml", *import_arguments)[0] == 0
     small = np.linalg.norm(trinoc.load_rig("back.json")["upper"].centre_world_mm)
     assert small == pytest.approx(0.476369)
-    assert run("export", "metres.yml", *back, "--unit-mm", "1000")[0] == 0
+    assert run("export", "metres.yml", *import_arguments, "--unit-mm", "1000")[0] == 0
     full = np.linalg.norm(trinoc.load_rig("back.json")["upper"].centre_world_mm)
     assert full == pytest.approx(476.369)
 

@@ -51,9 +51,9 @@ def test_lens_from_one_file_or_from_one_for_each(tmp_path):
     for focal_px, name in enumerate(SIZES, 1000):
         lens = trinoc.Intrinsics(focal_length_px=float(focal_px), image_size_px=SIZES[name])
         trinoc.save(lens, files[name])
-    one = LensOptions(lens=(str(files["left"]),))
-    assert [lens.focal_length_px[0] for lens in one.lenses(SIZES).values()] == [1001.0] * 2
-    assert one.files() == {"lens": files["left"]}
+    shared = LensOptions(lens=(str(files["left"]),))
+    assert [lens.focal_length_px[0] for lens in shared.lenses(SIZES).values()] == [1001.0] * 2
+    assert shared.files() == {"lens": files["left"]}
     each = LensOptions(lens=tuple(f"{name}={file}" for name, file in files.items()))
     assert [lens.focal_length_px[0] for lens in each.lenses(SIZES).values()] == [1000.0, 1001.0]
     with pytest.raises(UsageError, match='no file for the camera "left"'):
@@ -65,9 +65,9 @@ def test_covariance_of_the_lens_is_that_of_its_file(tmp_path):
     lens = trinoc.Intrinsics(focal_length_px=1000.0, image_size_px=SIZES["left"])
     save_intrinsics(lens, files["left"], covariance=covariance)
     save_intrinsics(lens, files["upper"])
-    one = LensOptions(lens=(str(files["left"]),))
+    shared = LensOptions(lens=(str(files["left"]),))
     lenses = dict.fromkeys(SIZES, lens)
-    np.testing.assert_array_equal(one.covariance(lenses), covariance)
+    np.testing.assert_array_equal(shared.covariance(lenses), covariance)
     per_camera = LensOptions(lens=tuple(f"{name}={file}" for name, file in files.items()))
     covariances = per_camera.covariance(lenses)
     assert isinstance(covariances, dict)

@@ -136,9 +136,14 @@ def test_a_waved_board_gives_the_rig(waved, folder, capsys) -> None:
             "distance_mm": camera.distance_mm,
         }
         for key, value in exact.items():
-            one = parameters[f"{name}.{key}"]
-            assert abs(one["value"] - value) < 4.0 * one["sigma"], (name, key, one, value)
-            assert one["sigma"] < 0.02 * max(abs(value), 100.0)
+            estimate = parameters[f"{name}.{key}"]
+            assert abs(estimate["value"] - value) < 4.0 * estimate["sigma"], (
+                name,
+                key,
+                estimate,
+                value,
+            )
+            assert estimate["sigma"] < 0.02 * max(abs(value), 100.0)
 
 
 class MadeCameras:
@@ -274,9 +279,9 @@ def test_what_cannot_be_watched_is_said_before_anything_is(
 
 
 def test_videos_have_to_be_in_step(folder, capsys) -> None:
-    still = picture_of("left", 0, 0)
+    image = picture_of("left", 0, 0)
     for name, count, rate in (("a", 2, 3.0), ("b", 2, 4.0), ("c", 5, 3.0)):
-        write_video(f"{name}.avi", count * [still], rate)
+        write_video(f"{name}.avi", count * [image], rate)
     assert watch("left=a.avi", "right=b.avi") == 1
     assert "3 frames a second and b.avi 4" in capsys.readouterr().err
     assert watch("left=a.avi", "right=c.avi") == 0
