@@ -106,16 +106,16 @@ def test_lines_follow_their_cameras_as_triangulation_does():
 
 def test_errors_of_the_cameras_are_in_the_normalised_errors():
     generator = np.random.default_rng(9)
-    alone, both = [], []
+    track_variances, line_variances = [], []
     for seed in range(12):
         rig = rig_off_by(SIGMA * generator.normal(size=12))
         matches = made_matches(rig, seed=seed)
         lines = lines_of_rig(matches, rig)
-        alone.append(evaluate(matches, EDGES, tolerances_mm=(5.0,)).normalised.variance)
-        both.append(evaluate(lines, EDGES, tolerances_mm=(5.0,)).normalised.variance)
-    assert np.mean(alone) > 2
+        track_variances.append(evaluate(matches, EDGES, tolerances_mm=(5.0,)).normalised.variance)
+        line_variances.append(evaluate(lines, EDGES, tolerances_mm=(5.0,)).normalised.variance)
+    assert np.mean(track_variances) > 2
     # Cameras have twelve errors, which all lines share, 12 times.
-    assert np.mean(both) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (12 * 12)))
+    assert np.mean(line_variances) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (12 * 12)))
 
 
 def test_a_line_of_one_track_follows_the_cameras_as_the_track_does():

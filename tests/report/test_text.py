@@ -39,8 +39,8 @@ def test_errors_are_found_minus_known_in_sigmas(rig: Rig) -> None:
 
 
 def test_an_unknown_sigma_is_no_number_of_sigmas(rig: Rig) -> None:
-    bare = Rig(dict(rig.items()))
-    errors = parameter_errors(bare, rig)
+    without_sigmas = Rig(dict(rig.items()))
+    errors = parameter_errors(without_sigmas, rig)
     assert all(math.isnan(error.over_sigma) for error in errors)
     assert "not known" in errors_text(errors, "Table 1")
 

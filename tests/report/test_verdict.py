@@ -158,8 +158,8 @@ def test_the_maps_show_what_the_library_says(
 
 
 def test_a_rig_without_errors_has_no_maps(rig: Rig, pictures: dict[str, PagePicture]) -> None:
-    bare = Rig(dict(rig.items()))
-    assert field_part(bare, None, None, pictures) is None
+    without_sigmas = Rig(dict(rig.items()))
+    assert field_part(without_sigmas, None, None, pictures) is None
 
 
 def test_the_docs_say_every_limit() -> None:
