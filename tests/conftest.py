@@ -94,7 +94,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
-    """Tests of one file share programs, those of another fewer."""
+    """After a file of tests, free the compiled programs if the process uses much memory."""
     is_last = nextitem is None or nextitem.path != item.path
     if is_last:
         first_calls.begin_file()
@@ -103,7 +103,7 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 
 def pytest_collection_finish() -> None:
-    """What importing left is given back, and what it made is not looked through again."""
+    """Free the memory that importing left, and exclude imported objects from garbage collection."""
     gc.collect()
     gc.freeze()
     return_free_memory()
@@ -118,12 +118,12 @@ def memory_in_use() -> float:
 
 
 def forget_what_was_compiled() -> None:
-    """Give the memory of all programs back; the shared folder still has them."""
+    """Free the memory of all compiled programs. The shared folder still has them."""
     forget_programs()
     return_free_memory()
 
 
 def return_free_memory() -> None:
-    """To the system."""
+    """Return free memory to the system."""
     with contextlib.suppress(AttributeError, OSError, TypeError):  # of the GNU C library alone
         ctypes.CDLL(None).malloc_trim(0)

@@ -21,14 +21,14 @@ _CONF = BeartypeConf(is_pep484_tower=True)
 
 
 class _File:
-    """Which file of tests it is by number, and what is no longer checked in it."""
+    """The number of the current test file, and the functions that it no longer checks."""
 
     number = 0
     past: ClassVar[list[Any]] = []
 
 
 def begin_file() -> None:
-    """Check everything anew."""
+    """Start a new test file, in which all functions are checked again."""
     _File.number += 1
     for function in _File.past:
         function.__no_type_check__ = False
@@ -39,16 +39,16 @@ def check_first_calls(signature: Callable[..., Any]) -> Callable[..., Any]:
     """A checker of calls with that signature, as jaxtyping's import hook makes one for a function
     without its result and one with it; both end the checks of the function after MOST_CALLS."""
     checked: Callable[..., Any] | None = None
-    file, left = -1, 0
+    file, remaining = -1, 0
 
     def check(*arguments: Any, **named: Any) -> Any:
-        nonlocal checked, file, left
+        nonlocal checked, file, remaining
         if checked is None:
             checked = beartype(conf=_CONF)(signature)
         if file != _File.number:
-            file, left = _File.number, MOST_CALLS
-        left -= 1
-        if left == 0:
+            file, remaining = _File.number, MOST_CALLS
+        remaining -= 1
+        if remaining == 0:
             # jaxtyping, which calls, holds the function itself, and asks it for this word.
             function = sys._getframe(1).f_locals.get("fn")
             with contextlib.suppress(AttributeError):
@@ -76,7 +76,7 @@ def _decorate_late(
 
 
 def install() -> None:
-    """Have what is imported from trinoc and simulation from now on checked.
+    """Check the annotations of all modules of trinoc and simulation that are imported later.
 
     The hook decorates by `jaxtyping.jaxtyped`. A function within a function is made anew at each
     call of that, and making a check takes longer than most of them: they are left out.

@@ -17,5 +17,5 @@ def parse_file(path: Path) -> ast.Module:
 
 
 def list_files(room: str = "") -> list[Path]:
-    """Those of a room, or all."""
+    """The files of a room, or of the whole package."""
     return sorted((ROOT / room).rglob("*.py"))

@@ -29,13 +29,13 @@ UNBOUND = re.compile(r"[*#?]*_\w*|\.\.\.|(\w+=)?\d+")
 
 
 def is_shape(node: ast.Subscript) -> bool:
-    """Whether `node` is jaxtyping's, such as `Float[np.ndarray, "n 2"]`."""
+    """Return True if `node` is a jaxtyping shape, such as `Float[np.ndarray, "n 2"]`."""
     name = ast.unparse(node.value).split(".")[-1]
     return hasattr(jaxtyping, name) and isinstance(node.slice, ast.Tuple)
 
 
 def is_container(node: ast.Subscript) -> bool:
-    """Whether `node` holds any number of members. In a tuple of known length all are checked."""
+    """Return True if `node` has any number of members. A tuple of known length is no container."""
     name = ast.unparse(node.value).split(".")[-1]
     members = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
     if name in ("tuple", "Tuple"):
@@ -46,7 +46,7 @@ def is_container(node: ast.Subscript) -> bool:
 def shapes_in_containers(
     node: ast.AST, aliases: dict[str, ast.Subscript], inside: bool = False
 ) -> Iterator[ast.Subscript]:
-    """The shapes below `node` that stand in a container, by name or written out."""
+    """Shapes below `node` that are members of a container, as an alias or written out."""
     if isinstance(node, ast.Subscript):
         if is_shape(node):
             if inside:
@@ -71,7 +71,7 @@ def bound_axes(shape: ast.Subscript) -> list[str]:
 
 
 def annotations(tree: ast.AST) -> Iterator[ast.expr]:
-    """Those of arguments, of what functions return, and of fields and variables."""
+    """Yield the annotations of arguments, results, fields and variables."""
     for node in ast.walk(tree):
         if isinstance(node, ast.arg | ast.AnnAssign) and node.annotation is not None:
             yield node.annotation

@@ -29,11 +29,11 @@ def quoted(text: str) -> list[str]:
 
 def test_rooms_may_import_what_the_page_says() -> None:
     may: dict[str, set[str]] = {}
-    for (room,), words in ((quoted(row[0]), row[-1]) for row in rows("## Rooms and floors")):
-        own = set(quoted(words))
-        if "what th" in words:
-            own |= {name for below in own for name in may[below]}
-        may[room] = own
+    for (room,), cell in ((quoted(row[0]), row[-1]) for row in rows("## Rooms and floors")):
+        allowed = set(quoted(cell))
+        if "what th" in cell:
+            allowed |= {name for below in allowed for name in may[below]}
+        may[room] = allowed
     assert may == MAY_IMPORT
 
 
@@ -58,8 +58,8 @@ def test_solvers_are_those_of_the_page() -> None:
         for module, room, tree in modules()
         if room == "calib" and any(name.split(".")[0] == "optimistix" for name in imported(tree))
     }
-    said = quoted(sentences("Solvers"))
-    assert used == {name for name in said if not name.startswith("numerics/") and "/" in name}
+    listed = quoted(sentences("Solvers"))
+    assert used == {name for name in listed if not name.startswith("numerics/") and "/" in name}
 
 
 def test_tuning_values_are_those_of_the_page() -> None:

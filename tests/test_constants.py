@@ -10,7 +10,7 @@ MARK = "# numerical:"
 
 
 def parts():
-    """(name, files): `segments`; inner rooms and loose files of `match` and `calib`."""
+    """Pairs (name, files): `segments`; the inner rooms and loose files of `match` and `calib`."""
     yield "segments", list_files("segments")
     for room in ("match", "calib"):
         yield room, sorted((ROOT / room).glob("*.py"))
@@ -22,7 +22,7 @@ PARTS = {name: files for name, files in parts() if not name.endswith("/tuning")}
 
 
 def has_number(node):
-    """Is there a number in an expression that is evaluated when the file is imported?"""
+    """Return True if an expression that is evaluated at import contains a number."""
     return any(
         isinstance(each, ast.Constant)
         and isinstance(each.value, int | float)
@@ -33,7 +33,7 @@ def has_number(node):
 
 
 def is_marked(lines, node):
-    """A comment that ends above it, or stands behind it, says that a number is arithmetic."""
+    """Return True if a comment above or behind the line marks its number as arithmetic."""
     if any(MARK in line for line in lines[node.lineno - 1 : node.end_lineno]):
         return True
     above = node.lineno - 2

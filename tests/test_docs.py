@@ -25,25 +25,27 @@ def blocks(page: Path, language: str) -> list[str]:
 
 def command_lines(page: Path) -> list[list[str]]:
     lines = "\n".join(blocks(page, "sh")).replace("\\\n", " ").splitlines()
-    words = [shlex.split(line, comments=True) for line in lines if line.startswith("trinoc ")]
-    return [line for line in words if "..." not in line and not line[1].startswith("-")]
+    commands = [shlex.split(line, comments=True) for line in lines if line.startswith("trinoc ")]
+    return [line for line in commands if "..." not in line and not line[1].startswith("-")]
 
 
 @pytest.fixture(scope="module")
 def options() -> dict[str, set[str]]:
-    """Of each command, what its help offers."""
+    """The options in the help of each command."""
     import contextlib
     import io
 
-    found = {}
+    options_by_command = {}
     for command in re.findall(
         r"^### `trinoc ([\w-]+)`", (ROOT / "docs/reference.md").read_text(), re.M
     ):
-        said = io.StringIO()
-        with contextlib.redirect_stdout(said):
+        output = io.StringIO()
+        with contextlib.redirect_stdout(output):
             assert main([command, "--help"]) == 0
-        found[command] = set(re.findall(r"(?<![\w-])--?[a-z][a-z0-9-]*", said.getvalue()))
-    return found
+        options_by_command[command] = set(
+            re.findall(r"(?<![\w-])--?[a-z][a-z0-9-]*", output.getvalue())
+        )
+    return options_by_command
 
 
 def test_every_command_line_names_a_command_and_its_options(options: dict[str, set[str]]) -> None:
@@ -131,10 +133,10 @@ def test_docstrings_become_lists_and_sections() -> None:
     pytest.importorskip("griffe")
     shown = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(shown)
-    found = shown.as_markdown(
+    markdown = shown.as_markdown(
         "Say.\n\nx, y : of a point,\n    in mm.\nz : up.\n\nRaises\n------\nError : no."
     )
-    assert [line for line in found.splitlines() if line] == [
+    assert [line for line in markdown.splitlines() if line] == [
         *("Say.", "- `x, y`: of a point,", "    in mm.", "- `z`: up."),
         *("**Raises**", "- `Error`: no."),
     ]

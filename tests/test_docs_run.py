@@ -94,13 +94,13 @@ def save_picture(path: str, board: AbstractTarget, cam_from_board: np.ndarray) -
     cv2.imwrite(path, picture)
 
 
-def held(shot: int, distance_mm: float) -> np.ndarray:
-    """cam_from_board of a board that faces the camera, leaning another way in each shot."""
+def board_pose(shot: int, distance_mm: float) -> np.ndarray:
+    """Pose cam_from_board of a board that faces the camera and leans differently in each shot."""
     about = 2.4 * shot
     lean = np.asarray(rotation_from_vector(np.array([0.6 * np.cos(about), 0.6 * np.sin(about), 0])))
-    place = [30 * np.sin(about), 20 * np.cos(about), distance_mm]
+    position = [30 * np.sin(about), 20 * np.cos(about), distance_mm]
     middle = lean @ np.diag([1.0, -1.0, -1.0])
-    return np.c_[middle, place]
+    return np.c_[middle, position]
 
 
 def chain(second: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -132,21 +132,21 @@ def give_shape() -> None:
 def give_shots() -> None:
     trinoc.save(demo_pattern(), "sheet.json")
     for shot in range(4):
-        save_picture(f"lens/{shot}.png", demo_pattern(), held(shot, 320.0))
+        save_picture(f"lens/{shot}.png", demo_pattern(), board_pose(shot, 320.0))
     board = trinoc.Chessboard(rows=6, columns=9, square_mm=25)
     front = trinoc.AprilGrid(rows=4, columns=4, tag_mm=16)
     back = trinoc.AprilGrid(rows=4, columns=4, tag_mm=16, first=16)
     about_y = np.diag([-1.0, 1.0, -1.0])
     for shot in range(5):
         # One camera sees the front of a block, another from behind its back.
-        front_pose = held(shot, 330.0)
+        front_pose = board_pose(shot, 330.0)
         back_in_front = np.c_[about_y, [0.0, 0.0, -30.0]]
         behind = np.c_[about_y, [0.0, 0.0, 660.0]]
         back_pose = chain(behind, chain(front_pose, back_in_front))
         save_picture(f"walls/left/{shot}.png", front, front_pose)
         save_picture(f"walls/right/{shot}.png", back, back_pose)
         for camera, aside in (("left", 0.0), ("right", -60.0)):
-            moved = held(shot, 520.0) + np.c_[np.zeros((3, 3)), [aside, 0.0, 0.0]]
+            moved = board_pose(shot, 520.0) + np.c_[np.zeros((3, 3)), [aside, 0.0, 0.0]]
             save_picture(f"{camera}/{shot}.png", board, moved)
 
 
@@ -169,40 +169,40 @@ GIVEN: dict[str, Callable[[], None]] = {
 
 
 def blocks(page: Path) -> list[tuple[str, str]]:
-    """(language, text) of what a page says to run, in order."""
+    """Pairs (language, text) of the code blocks of a page, in order."""
     return re.findall(r"^```(sh|python)\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
 
 
 def commands(block: str) -> list[list[str]]:
-    """The words of each command, as a shell takes them."""
-    found = []
+    """The words of each command, split by the rules of a shell."""
+    command_list = []
     for line in block.replace("\\\n", " ").splitlines():
         lexer = shlex.shlex(line, posix=True, punctuation_chars="&")
         lexer.whitespace_split = True
-        words = list(lexer)
-        while words:
-            end = words.index("&&") if "&&" in words else len(words)
-            found.append(words[:end])
-            words = words[end + 1 :]
-    return found
+        tokens = list(lexer)
+        while tokens:
+            end = tokens.index("&&") if "&&" in tokens else len(tokens)
+            command_list.append(tokens[:end])
+            tokens = tokens[end + 1 :]
+    return command_list
 
 
 # Where several pages begin. It runs as it stands in an empty folder, once for all of them.
 DEMO = ["trinoc", "demo", "--keep-inputs"]
 
 
-def run_command(words: list[str], demo: Path) -> None:
-    if words == DEMO and not os.listdir():
+def run_command(command: list[str], demo: Path) -> None:
+    if command == DEMO and not os.listdir():
         shutil.copytree(demo, "trinoc-demo")
         return
-    if words[0] == "cd":
-        os.chdir(words[1])
+    if command[0] == "cd":
+        os.chdir(command[1])
         return
-    assert words[0] == "trinoc", words
-    if "parquet" in words and importlib.util.find_spec("pyarrow") is None:
+    assert command[0] == "trinoc", command
+    if "parquet" in command and importlib.util.find_spec("pyarrow") is None:
         return
-    paths = [sorted(glob.glob(word)) if "*" in word else [word] for word in words[1:]]
-    assert main([word for own in paths for word in own]) == 0, words
+    paths = [sorted(glob.glob(word)) if "*" in word else [word] for word in command[1:]]
+    assert main([word for group in paths for word in group]) == 0, command
 
 
 # Pages that begin in the folder of pictures which `trinoc demo --keep-inputs` leaves.
@@ -217,7 +217,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run_page(name: str, left_out: set[str], demo: Path) -> None:
-    """All that a page says, but for the commands that are left out."""
+    """Run every code block of a page except the commands in `left_out`."""
     if name in BESIDE_THE_DEMO:
         shutil.copytree(demo, "trinoc-demo")
         os.chdir("trinoc-demo/inputs")
@@ -228,9 +228,9 @@ def run_page(name: str, left_out: set[str], demo: Path) -> None:
         if language == "python":
             exec(compile(text, name, "exec"), namespace)
         else:
-            for words in commands(text):
-                if " ".join(words) not in left_out:
-                    run_command(words, demo)
+            for command in commands(text):
+                if " ".join(command) not in left_out:
+                    run_command(command, demo)
 
 
 @pytest.fixture(autouse=True)
@@ -251,11 +251,11 @@ def test_its_slow_commands_run_too(name: str, demo: Path) -> None:
 
 
 def test_what_does_not_run_stands_on_a_page() -> None:
-    said = {
-        " ".join(words)
+    shown = {
+        " ".join(command)
         for page in PAGES.values()
         for language, text in blocks(page)
         if language == "sh"
-        for words in commands(text)
+        for command in commands(text)
     }
-    assert {*NOT_RUN, *SLOW} <= said
+    assert {*NOT_RUN, *SLOW} <= shown

@@ -31,6 +31,6 @@ def test_the_first_calls_of_each_file_are_checked() -> None:
 
 
 def test_a_function_within_a_function_is_not_wrapped() -> None:
-    """It would be so anew at each call of that."""
+    """Its annotations would be checked again at each call of the outer function."""
     assert kept_jit.__code__.co_filename == first_calls.__file__
     assert programs.__name__.split(".")[-1] in kept_jit(complete_axes).__code__.co_filename

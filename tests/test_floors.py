@@ -68,13 +68,13 @@ OUTER_MODULES = {"argparse", "io", "logging", "os", "pathlib", "shutil", "subpro
 @functools.cache
 def modules():
     """(module name, room, syntax tree) of every file of the package."""
-    found = []
+    module_list = []
     for path in list_files():
         parts = path.relative_to(ROOT).with_suffix("").parts
         room = parts[0] if len(parts) > 1 else ""
         name = ".".join(("trinoc", *parts)).removesuffix(".__init__")
-        found.append((name, room, parse_file(path)))
-    return found
+        module_list.append((name, room, parse_file(path)))
+    return module_list
 
 
 def imported(tree, *, at_top_only=False):
@@ -106,8 +106,8 @@ PACKAGES = sorted(
 def test_a_room_imports_only_the_floors_below(room):
     wrong = [
         f"{module} imports {name}"
-        for module, own, tree in modules()
-        if own == room
+        for module, module_room, tree in modules()
+        if module_room == room
         for name in imported(tree)
         if name.split(".")[0] == "trinoc"
         and len(name.split(".")) > 1
@@ -118,7 +118,7 @@ def test_a_room_imports_only_the_floors_below(room):
 
 
 def test_every_room_stands_in_the_table():
-    assert {own for _, own, _ in modules() if own} == set(MAY_IMPORT)
+    assert {module_room for _, module_room, _ in modules() if module_room} == set(MAY_IMPORT)
 
 
 @pytest.mark.parametrize("room", INNER_FLOORS)
@@ -126,9 +126,9 @@ def test_inner_rooms_import_only_the_floors_below(room):
     floors = INNER_FLOORS[room]
     assert set(floors) == {path.parent.name for path in (ROOT / room).glob("*/__init__.py")}
     wrong = []
-    for module, own, tree in modules():
+    for module, module_room, tree in modules():
         parts = module.split(".")
-        if own != room or len(parts) < 4:
+        if module_room != room or len(parts) < 4:
             continue
         below = {*FOUNDATION.get(room, {"tuning"}), *floors[: floors.index(parts[2]) + 1]}
         for name in imported(tree):
@@ -151,12 +151,12 @@ def test_code_imports_from_the_files():
 
 
 def _is_of_a_file(value, room):
-    """A class or function that stands in a file of the room."""
+    """Return True if a file of the room defines this class or function."""
     return getattr(value, "__module__", "").startswith(f"{room.__name__}.")
 
 
 def names_of(package):
-    """What the door of a room hands on; most hand on nothing."""
+    """Names that a package exports in its `__init__`. Most packages export none."""
     room = importlib.import_module(package)
     if package in LAZY:
         return set(room.__all__)
@@ -185,7 +185,7 @@ def test_only_these_doors_are_lazy():
 
 
 def test_docs_name_no_path_behind_a_door():
-    """Docstrings are shown from their files; prose and snippets name doors."""
+    """Prose and code blocks name public modules. Only API listings name files."""
     files = [f"{module}." for module, _, _ in modules() if module not in PACKAGES]
     files.remove("trinoc.errors.")
     pages = [*(ROOT.parent / "docs").glob("*.md"), *ROOT.parent.glob("*.md")]
@@ -202,8 +202,8 @@ def test_docs_name_no_path_behind_a_door():
 def test_below_io_nothing_touches_files_or_the_outside():
     wrong = [
         f"{module} imports {name}"
-        for module, own, tree in modules()
-        if own in BELOW_IO
+        for module, module_room, tree in modules()
+        if module_room in BELOW_IO
         for name in imported(tree)
         if name.split(".")[0] in OUTER_MODULES or name.startswith("cv2.imread")
     ]
@@ -212,13 +212,13 @@ def test_below_io_nothing_touches_files_or_the_outside():
 
 def test_below_io_nothing_opens_prints_or_sets():
     wrong = []
-    for module, own, tree in modules():
-        if own not in BELOW_IO:
+    for module, module_room, tree in modules():
+        if module_room not in BELOW_IO:
             continue
         for node in ast.walk(tree):
             if isinstance(node, ast.Call):
-                called = ast.unparse(node.func)
-                if called in ("open", "print", "input") or called in (
+                function = ast.unparse(node.func)
+                if function in ("open", "print", "input") or function in (
                     "jax.config.update",
                     "np.load",
                     "np.save",
@@ -227,7 +227,7 @@ def test_below_io_nothing_opens_prints_or_sets():
                     "cv2.imwrite",
                     "cv2.imshow",
                 ):
-                    wrong.append(f"{module}:{node.lineno} calls {called}")
+                    wrong.append(f"{module}:{node.lineno} calls {function}")
     assert wrong == []
 
 
@@ -263,8 +263,8 @@ def test_commands_import_nothing_heavy_at_the_top():
     light = {"trinoc.match.step_names.StepName"}
     wrong = [
         f"{module} imports {name}"
-        for module, own, tree in modules()
-        if own == "cli"
+        for module, module_room, tree in modules()
+        if module_room == "cli"
         for name in imported(tree, at_top_only=True)
         if name.split(".")[0] in heavy
         or (

@@ -1,4 +1,4 @@
-"""The list of places that `benchmarks/mutations.py` breaks is true: each stands where it says."""
+"""Every entry of `benchmarks/mutations.toml` quotes code that exists exactly once."""
 
 import tomllib
 from pathlib import Path

@@ -44,7 +44,7 @@ def test_every_figure_is_a_picture(path: Path) -> None:
 def test_a_script_runs_to_its_checks(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In this process, which has compiled much of it already."""
+    """Run the script in this process, which already has many compiled programs."""
     import matplotlib.pyplot as plt
 
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""Arguments of a wrong kind, and numbers that cannot be, are refused by name, in one sentence."""
+"""Arguments of a wrong type and impossible numbers are refused by name, in one sentence."""
 
 import itertools
 from collections.abc import Callable, Iterator
@@ -26,7 +26,7 @@ CALLS: list[tuple[Callable[[Any], Any], Any, str]] = [
     (lambda sheet: trinoc.calibrate(GREY, sheet, LENS), "sheet.json", "The pattern is of type str"),
     (lambda images: trinoc.calibrate(images, SHEET, LENS), GREY["left"], "images is of type nda"),
     (
-        lambda known: trinoc.calibrate(GREY, SHEET, LENS, systematics=known),
+        lambda value: trinoc.calibrate(GREY, SHEET, LENS, systematics=value),
         0.1,
         "knowledge of the sheet is of type float",
     ),
@@ -36,8 +36,8 @@ CALLS: list[tuple[Callable[[Any], Any], Any, str]] = [
     (lambda board: trinoc.calibrate_intrinsics([], board), LENS, "pattern is of type Intrinsics"),
     (lambda result: trinoc.next_shot(result), RIG, "result is of type Rig"),
     (lambda rig: trinoc.match_segments(SEGMENTS, rig), "rig.json", "The rig is of type str"),
-    (lambda given: trinoc.match_segments(given, RIG), RIG, "set of segments is of type Rig"),
-    (lambda given: trinoc.match_segments(given, RIG), GREY, "the result of find_segments"),
+    (lambda value: trinoc.match_segments(value, RIG), RIG, "set of segments is of type Rig"),
+    (lambda value: trinoc.match_segments(value, RIG), GREY, "the result of find_segments"),
     (
         lambda depths: trinoc.match_segments(SEGMENTS, RIG, depth_range_mm=depths),
         (5.0, 1.0),
@@ -79,15 +79,15 @@ CALLS: list[tuple[Callable[[Any], Any], Any, str]] = [
         "whole positive pixels",
     ),
     (
-        lambda given: trinoc.Intrinsics(
-            focal_length_px=900, image_size_px=(640, 480), distortion=given
+        lambda value: trinoc.Intrinsics(
+            focal_length_px=900, image_size_px=(640, 480), distortion=value
         ),
         [0.1, 0.2, 0.3],
         "p2 is missing",
     ),
     (
-        lambda given: trinoc.Intrinsics(
-            focal_length_px=900, image_size_px=(640, 480), distortion=given
+        lambda value: trinoc.Intrinsics(
+            focal_length_px=900, image_size_px=(640, 480), distortion=value
         ),
         [np.nan],
         "must be finite",
@@ -203,34 +203,36 @@ DOORS: dict[str, tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]] = {
 @pytest.mark.usefixtures("as_installed")
 @pytest.mark.parametrize("door", DOORS)
 def test_junk_in_any_place_is_a_sentence(door: str, tmp_path, monkeypatch) -> None:
-    """No argument of a door leads to an error of Python's or of a library's."""
+    """No argument of a public function causes an error of Python or of a library."""
     monkeypatch.chdir(tmp_path)
     function, arguments, named = DOORS[door]
-    places = [*range(len(arguments)), *named]
-    for place, junk in itertools.product(places, JUNK):
-        given = [junk if place == k else each for k, each in enumerate(arguments)]
-        options = {name: junk if place == name else each for name, each in named.items()}
+    positions = [*range(len(arguments)), *named]
+    for position, junk in itertools.product(positions, JUNK):
+        values = [junk if position == k else each for k, each in enumerate(arguments)]
+        options = {name: junk if position == name else each for name, each in named.items()}
         try:
-            function(*given, **options)
+            function(*values, **options)
         except TrinocError as error:
             sentence = str(error)
-            assert sentence, (place, junk)
-            assert "\n" not in sentence, (place, junk)
+            assert sentence, (position, junk)
+            assert "\n" not in sentence, (position, junk)
 
 
 @pytest.fixture
 def as_installed() -> Iterator[None]:
-    """Without the checks of annotations, which users do not have."""
+    """Run trinoc without the run-time checks of annotations, as users do."""
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.mark.usefixtures("as_installed")
-@pytest.mark.parametrize(("call", "given", "said"), CALLS, ids=[said for *_, said in CALLS])
-def test_it_is_said_what_is_wrong(call: Callable[[Any], Any], given: Any, said: str) -> None:
-    with pytest.raises(TrinocError, match=said) as caught:
-        call(given)
+@pytest.mark.parametrize(
+    ("call", "value", "message"), CALLS, ids=[message for *_, message in CALLS]
+)
+def test_it_is_said_what_is_wrong(call: Callable[[Any], Any], value: Any, message: str) -> None:
+    with pytest.raises(TrinocError, match=message) as caught:
+        call(value)
     assert isinstance(caught.value, InputError)
     assert "\n" not in str(caught.value)
 

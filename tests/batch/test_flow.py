@@ -18,7 +18,7 @@ from trinoc.synth import table1_rig
 
 
 class AtOnce(Executor):
-    """Does every task when it is submitted, and counts those not yet handed on."""
+    """Executor that runs every task when it is submitted and counts the submissions."""
 
     def __init__(self):
         self.submitted = 0
@@ -30,17 +30,17 @@ class AtOnce(Executor):
         return future
 
 
-@given(count=st.integers(0, 30), most=st.integers(1, 8), full=st.sets(st.integers(0, 30)))
-def test_each_task_once_and_never_more_than_the_window(count, most, full):
+@given(count=st.integers(0, 30), window_size=st.integers(1, 8), full=st.sets(st.integers(0, 30)))
+def test_each_task_once_and_never_more_than_the_window(count, window_size, full):
     executor, taken = AtOnce(), []
 
     def room():
         return len(taken) not in full
 
-    for task, future in in_window(executor, lambda k: -k, range(count), most, room):
+    for task, future in in_window(executor, lambda k: -k, range(count), window_size, room):
         assert future.result() == -task
         taken.append(task)
-        assert executor.submitted - len(taken) <= most - 1
+        assert executor.submitted - len(taken) <= window_size - 1
     assert sorted(taken) == list(range(count))
 
 
@@ -76,11 +76,13 @@ def test_workers_fit_into_the_memory_and_no_more_would_or_are_one(
 ):
     rig = table1_rig()
     width, height = rig["upper"].image_size_px
-    found = affordable(gigabytes * 1e9, rig, wanted)
-    assert 1 <= found <= wanted
-    each = own_bytes + BYTES_PER_PIXEL * width * height
-    assert found == 1 or BASE_BYTES + found * each <= gigabytes * 1e9
-    assert found == wanted or BASE_BYTES + (found + 1) * each > gigabytes * 1e9
+    worker_count = affordable(gigabytes * 1e9, rig, wanted)
+    assert 1 <= worker_count <= wanted
+    worker_bytes = own_bytes + BYTES_PER_PIXEL * width * height
+    assert worker_count == 1 or BASE_BYTES + worker_count * worker_bytes <= gigabytes * 1e9
+    assert (
+        worker_count == wanted or BASE_BYTES + (worker_count + 1) * worker_bytes > gigabytes * 1e9
+    )
 
 
 def test_this_process_takes_some_of_the_machine_s_memory():

@@ -33,21 +33,21 @@ FRAMES, PER_FILE = 10, 3
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     """Segments of a box that moves; two of the frames are broken."""
-    place = tmp_path_factory.mktemp("recording")
-    (place / "frames").mkdir()
-    trinoc.save(RIG, place / "rig.json")
+    folder = tmp_path_factory.mktemp("recording")
+    (folder / "frames").mkdir()
+    trinoc.save(RIG, folder / "rig.json")
     for k in range(FRAMES):
         for name, camera in RIG.items():
             ends = np.c_[BOX_MM + 0.5 * k, np.ones(8)] @ camera.matrix_px.T
             ends = (ends[:, :2] / ends[:, 2:])[EDGES].reshape(-1, 4)
-            np.savetxt(place / "frames" / f"{k}_{name}.csv", ends, delimiter=",")
-    (place / "frames" / "4_left.csv").unlink()
-    (place / "frames" / "6_upper.csv").write_text("a,b,c,d\n")
-    return place
+            np.savetxt(folder / "frames" / f"{k}_{name}.csv", ends, delimiter=",")
+    (folder / "frames" / "4_left.csv").unlink()
+    (folder / "frames" / "6_upper.csv").write_text("a,b,c,d\n")
+    return folder
 
 
 def made_matches(item):
-    """Matches that no compiler is needed for: a track for each segment of the first view."""
+    """Matches without compiled code: one track for each segment of the first view."""
     count = len(next(iter(item.values())))
     lines = np.repeat(np.asarray(next(iter(item.values())).endpoints_px)[:, :, :1], 3, axis=2)
     return trinoc.Matches(
@@ -81,9 +81,9 @@ def contents(out):
     return {path.name: path.read_bytes() for path in out.iterdir()}
 
 
-def match(place, out, **options):
+def match(folder, out, **options):
     options = {"frames_per_file": PER_FILE, "threads_at_most": 2, "ending": ".npz", **options}
-    return trinoc.match_recording(place / "frames", RIG, out, **options)
+    return trinoc.match_recording(folder / "frames", RIG, out, **options)
 
 
 @pytest.fixture
@@ -93,27 +93,29 @@ def expected(recording, tmp_path, quick):
 
 
 def test_every_frame_has_its_matches_or_its_reason(recording, tmp_path, quick):
-    seen = []
-    outcome = match(recording, tmp_path / "out", on_progress=seen.append)
+    reports = []
+    outcome = match(recording, tmp_path / "out", on_progress=reports.append)
     assert (outcome.frames, outcome.failed, outcome.earlier) == (FRAMES, 2, 0)
-    assert [progress.done for progress in seen] == sorted(progress.done for progress in seen)
-    assert (seen[0].done, seen[-1]) == (0, (FRAMES, 2, FRAMES))
-    found = trinoc.load(tmp_path / "out")
-    assert list(found) == [str(k) for k in range(FRAMES)]
-    for name, matches in found.items():
-        assert (matches is None) == (name in found.failures)
+    assert [progress.done for progress in reports] == sorted(progress.done for progress in reports)
+    assert (reports[0].done, reports[-1]) == (0, (FRAMES, 2, FRAMES))
+    loaded = trinoc.load(tmp_path / "out")
+    assert list(loaded) == [str(k) for k in range(FRAMES)]
+    for name, matches in loaded.items():
+        assert (matches is None) == (name in loaded.failures)
         if matches is not None:
             item = {
                 view: trinoc.load_segments(recording / "frames" / f"{name}_{view}.csv")
                 for view in RIG
             }
-            again = made_matches(item)
+            expected_matches = made_matches(item)
             for field in ("index", "fragments_px", "lines_mm", "covariance_mm2", "stage"):
-                np.testing.assert_array_equal(getattr(matches, field), getattr(again, field))
-            assert matches.notes == again.notes
-            assert matches.counts == again.counts
-    assert 'has no picture of "left"' in found.failures["4"]
-    assert found.failures["6"].startswith("6_upper.csv, line 1, names the columns a, b, c, d")
+                np.testing.assert_array_equal(
+                    getattr(matches, field), getattr(expected_matches, field)
+                )
+            assert matches.notes == expected_matches.notes
+            assert matches.counts == expected_matches.counts
+    assert 'has no picture of "left"' in loaded.failures["4"]
+    assert loaded.failures["6"].startswith("6_upper.csv, line 1, names the columns a, b, c, d")
 
 
 def test_cameras_without_a_picture_are_left_out(recording, tmp_path, expected):
@@ -132,9 +134,9 @@ def test_cameras_without_a_picture_are_left_out(recording, tmp_path, expected):
 
 def test_a_report_shows_all_frames_and_the_middle_one(recording, tmp_path, quick, monkeypatch):
     monkeypatch.chdir(recording)
-    words = ["batch", "frames", "--rig", "rig.json", "-o", str(tmp_path / "out"), "--quiet"]
+    arguments = ["batch", "frames", "--rig", "rig.json", "-o", str(tmp_path / "out"), "--quiet"]
     page = tmp_path / "r.html"
-    assert main([*words, "--workers", "2", "--report", str(page)]) == 0
+    assert main([*arguments, "--workers", "2", "--report", str(page)]) == 0
     text = page.read_text(encoding="utf-8")
     assert f"{FRAMES - 2} of {FRAMES} frames" in text
     assert "has no picture of &#34;left&#34;" in text
@@ -145,31 +147,31 @@ def test_frames_that_do_not_belong_to_the_rig_are_counted_and_fail_the_command(
     recording, tmp_path, monkeypatch
 ):
     def suspects(segments, rig, **_):
-        found = quick_matching(segments, rig)
-        first, *others = found.matches
+        result = quick_matching(segments, rig)
+        first, *remaining = result.matches
         assert first is not None
         doubted = replace(first, counts=first.counts | {SUSPECT_SETS: 1})
-        return replace(found, matches=(doubted, *others))
+        return replace(result, matches=(doubted, *remaining))
 
     monkeypatch.setattr(parts, "match_many", suspects)
     outcome = match(recording, tmp_path / "out")
     lines = [json.loads(line) for line in outcome.manifest.read_text().splitlines()]
-    said = [line["suspect"] for line in lines if "suspect" in line]
-    assert said == ["a note"] * outcome.suspect
+    notes = [line["suspect"] for line in lines if "suspect" in line]
+    assert notes == ["a note"] * outcome.suspect
     assert 0 < outcome.suspect < FRAMES
     # And again by the files alone, where the manifest is lost.
     outcome.manifest.write_text("")
     assert match(recording, tmp_path / "out").suspect == outcome.suspect
-    told = _outcome(outcome, None)
-    assert f"{outcome.suspect} do not seem to belong to the rig" in told.text
-    assert told.record["suspect"] == outcome.suspect
-    assert told.refusal is not None
-    assert str(outcome.manifest) in told.refusal
+    message = _outcome(outcome, None)
+    assert f"{outcome.suspect} do not seem to belong to the rig" in message.text
+    assert message.record["suspect"] == outcome.suspect
+    assert message.refusal is not None
+    assert str(outcome.manifest) in message.refusal
     assert _outcome(replace(outcome, suspect=0), None).refusal is None
 
 
 class Killed(BaseException):
-    """What a kill looks like from inside: nothing that follows is done."""
+    """Exception that simulates a kill: no later code runs."""
 
 
 @settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -193,15 +195,15 @@ def test_killed_anywhere_and_begun_again_the_bytes_are_the_same(
         for kill in kills:
             steps = iter(range(100))
 
-            def save(*given, kill=kill, steps=steps):
+            def save(*arguments, kill=kill, steps=steps):
                 if next(steps) == kill:
                     raise Killed
-                plain_save(*given)
+                plain_save(*arguments)
 
-            def append(self, *given, kill=kill, steps=steps):
+            def append(self, *arguments, kill=kill, steps=steps):
                 if next(steps) == kill:
                     raise Killed
-                plain_append(self, *given)
+                plain_append(self, *arguments)
 
             patch.setattr(folder_file, "save_frames", save)
             patch.setattr(folder_file.Folder, "_append", append)
@@ -226,10 +228,10 @@ def test_killed_anywhere_and_begun_again_the_bytes_are_the_same(
 def test_jobs_and_threads_change_no_file(recording, tmp_path, expected, jobs, threads):
     for job in range(1, jobs + 1):
         match(recording, tmp_path / "out", shard=(job, jobs), threads_at_most=threads)
-    found = contents(tmp_path / "out")
-    lines = [found.pop(name) for name in sorted(found) if name.startswith("manifest-")]
+    files = contents(tmp_path / "out")
+    lines = [files.pop(name) for name in sorted(files) if name.startswith("manifest-")]
     assert sorted(b"".join(lines).splitlines()) == sorted(expected["manifest.jsonl"].splitlines())
-    assert found == {name: b for name, b in expected.items() if name != "manifest.jsonl"}
+    assert files == {name: b for name, b in expected.items() if name != "manifest.jsonl"}
     assert len(trinoc.load_recording(tmp_path / "out")) == FRAMES
 
 
@@ -251,7 +253,7 @@ def test_a_defect_in_one_frame_is_that_frame_s_alone(recording, tmp_path, monkey
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "setting"),
     [
         ({"frames_per_file": 4}, "frames_per_file"),
         ({"find": {"arcs": True}}, "find"),
@@ -260,10 +262,10 @@ def test_a_defect_in_one_frame_is_that_frame_s_alone(recording, tmp_path, monkey
         ({"ending": ".parquet"}, "ending"),
     ],
 )
-def test_results_of_something_else_are_not_mixed(recording, tmp_path, quick, changed, said):
+def test_results_of_something_else_are_not_mixed(recording, tmp_path, quick, changed, setting):
     match(recording, tmp_path / "out")
     before = contents(tmp_path / "out")
-    with pytest.raises(InputError, match=f'a run with another "{said}"'):
+    with pytest.raises(InputError, match=f'a run with another "{setting}"'):
         match(recording, tmp_path / "out", **changed)
     assert contents(tmp_path / "out") == before
 
@@ -289,7 +291,7 @@ def test_a_second_program_on_the_same_job_is_refused(recording, tmp_path, quick,
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"frames_per_file": 0}, "frames_per_file is 0"),
         ({"threads_at_most": 0}, "threads_at_most is 0"),
@@ -299,8 +301,8 @@ def test_a_second_program_on_the_same_job_is_refused(recording, tmp_path, quick,
         ({"template": "{frame}"}, "lacks {camera}"),
     ],
 )
-def test_what_cannot_be_leaves_no_folder(recording, tmp_path, options, said):
-    with pytest.raises(InputError, match=said):
+def test_what_cannot_be_leaves_no_folder(recording, tmp_path, options, message):
+    with pytest.raises(InputError, match=message):
         match(recording, tmp_path / "out", **options)
     assert not (tmp_path / "out").exists()
 
@@ -318,10 +320,10 @@ def test_parquet_holds_what_npz_holds(recording, tmp_path, quick):
     pytest.importorskip("pyarrow")
     match(recording, tmp_path / "npz")
     match(recording, tmp_path / "parquet", ending=".parquet")
-    found = [trinoc.load_recording(tmp_path / kind) for kind in ("npz", "parquet")]
-    assert found[0].failures == found[1].failures
-    for name in found[0]:
-        a, b = found[0][name], found[1][name]
+    recordings = [trinoc.load_recording(tmp_path / kind) for kind in ("npz", "parquet")]
+    assert recordings[0].failures == recordings[1].failures
+    for name in recordings[0]:
+        a, b = recordings[0][name], recordings[1][name]
         if a is None or b is None:
             assert a is b
             continue
@@ -343,17 +345,17 @@ def test_a_cluster_writes_the_same_files(recording, tmp_path, expected):
     assert contents(tmp_path / "out") == expected
 
 
-def broken_frames(place, count):
+def broken_frames(folder, count):
     """Frames whose segments cannot be read: nothing is compiled for them."""
-    (place / "frames").mkdir()
+    (folder / "frames").mkdir()
     for frame in range(count):
         for name in RIG:
-            (place / "frames" / f"{frame:03}_{name}.csv").write_text(f"{frame} is no segment\n")
-    return place
+            (folder / "frames" / f"{frame:03}_{name}.csv").write_text(f"{frame} is no segment\n")
+    return folder
 
 
 def test_processes_write_what_threads_write(tmp_path, monkeypatch):
-    place = broken_frames(tmp_path, 14)
+    folder = broken_frames(tmp_path, 14)
     begun = []
 
     @contextlib.contextmanager
@@ -364,29 +366,29 @@ def test_processes_write_what_threads_write(tmp_path, monkeypatch):
 
     monkeypatch.setattr(run, "processes", counted)
     options = {"frames_per_file": 2, "threads_at_most": 2}
-    threaded = match(place, tmp_path / "threads", **options)
-    apart = match(place, tmp_path / "processes", in_processes=True, **options)
+    threaded = match(folder, tmp_path / "threads", **options)
+    separate = match(folder, tmp_path / "processes", in_processes=True, **options)
     assert begun == [2]
-    assert (apart.workers, apart.failed, threaded.failed) == (2, 14, 14)
+    assert (separate.workers, separate.failed, threaded.failed) == (2, 14, 14)
     assert contents(tmp_path / "processes") == contents(tmp_path / "threads")
     # So few that a process would not pay.
-    match(place, tmp_path / "few", in_processes=True, frames_per_file=7, threads_at_most=2)
+    match(folder, tmp_path / "few", in_processes=True, frames_per_file=7, threads_at_most=2)
     assert begun == [2]
 
 
 def test_processes_give_up_between_two_frames(tmp_path):
-    """Whatever ends the block, they are gone when it has ended."""
+    """The processes end with the block, also after an exception."""
     work = MatchingJob(broken_frames(tmp_path, 2) / "frames", RIG, {}, None)
-    seen = []
+    children = []
 
     def end_early():
         with workers.processes(work, 2):
-            seen.extend(multiprocessing.active_children())
+            children.extend(multiprocessing.active_children())
             raise Killed
 
     with pytest.raises(Killed):
         end_early()
-    assert len(seen) == 2
+    assert len(children) == 2
     assert multiprocessing.active_children() == []
 
 
@@ -404,13 +406,13 @@ def test_a_scheduler_that_is_not_there_is_a_sentence(recording, tmp_path, monkey
         match(recording, tmp_path / "out", scheduler="tcp://127.0.0.1:1")
 
 
-def batch(place, *options):
+def batch(folder, *options):
     return main(
         [
             "batch",
-            str(place / "frames"),
+            str(folder / "frames"),
             "--rig",
-            str(place / "rig.json"),
+            str(folder / "rig.json"),
             "--json",
             "--quiet",
             *options,
@@ -425,16 +427,16 @@ def test_the_command_matches_as_the_library_does(recording, tmp_path, capsys):
     record = json.loads(capsys.readouterr().out)
     assert (record["frames"], record["failed"], record["earlier"]) == (FRAMES, 2, 0)
     item = {v: trinoc.load_segments(recording / "frames" / f"3_{v}.csv") for v in RIG}
-    alone, together = trinoc.match_segments(item, RIG), trinoc.load_recording(out)["3"]
-    assert together is not None
-    np.testing.assert_array_equal(together.index, alone.index)
-    np.testing.assert_allclose(together.lines_mm, alone.lines_mm, rtol=1e-9)
+    direct, recorded = trinoc.match_segments(item, RIG), trinoc.load_recording(out)["3"]
+    assert recorded is not None
+    np.testing.assert_array_equal(recorded.index, direct.index)
+    np.testing.assert_allclose(recorded.lines_mm, direct.lines_mm, rtol=1e-9)
     assert batch(recording, "-o", str(out), "--frames-per-file", "8") == 0
     assert json.loads(capsys.readouterr().out)["earlier"] == FRAMES
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--shard", "3/2"], "--shard is 3/2"),
         (["--shard", "x"], "--shard is x"),
@@ -445,9 +447,9 @@ def test_the_command_matches_as_the_library_does(recording, tmp_path, capsys):
         (["--depth-range-mm", "5", "1"], "contains no depth"),
     ],
 )
-def test_mistaken_options_are_usage_errors(recording, tmp_path, capsys, options, said):
+def test_mistaken_options_are_usage_errors(recording, tmp_path, capsys, options, message):
     assert batch(recording, "-o", str(tmp_path / "out"), *options) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -456,10 +458,10 @@ def test_interrupted_keeps_what_is_done_and_says_so(
 ):
     plain, calls = folder_file.Folder.commit, iter(range(100))
 
-    def commit(self, *given):
+    def commit(self, *arguments):
         if next(calls) == 2:
             raise KeyboardInterrupt
-        plain(self, *given)
+        plain(self, *arguments)
 
     monkeypatch.setattr(folder_file.Folder, "commit", commit)
     out = tmp_path / "out"
@@ -484,10 +486,10 @@ def test_a_full_disk_keeps_what_is_done_and_the_same_call_goes_on(
 ):
     plain, calls = folder_file.save_frames, iter(range(100))
 
-    def full(*given):
+    def full(*arguments):
         if next(calls) == 2:
             raise InputError("the disk is full.")
-        plain(*given)
+        plain(*arguments)
 
     monkeypatch.setattr(folder_file, "save_frames", full)
     with pytest.raises(InputError, match="the disk is full"):
@@ -512,6 +514,6 @@ def test_two_jobs_at_once_share_a_folder(recording, tmp_path, expected):
         job.start()
     for job in jobs:
         job.join()
-    found = contents(tmp_path / "out")
+    files = contents(tmp_path / "out")
     for name, content in expected.items():
-        assert name == "manifest.jsonl" or found[name] == content
+        assert name == "manifest.jsonl" or files[name] == content

@@ -14,8 +14,8 @@ GRID_MM = np.stack(np.meshgrid(np.linspace(-40, 40, 5), np.linspace(-40, 40, 5))
 
 
 def quality(points_px: np.ndarray, lean: tuple[float, float] = (0.0, 0.0), **other: object):
-    """A good one, but for `other`."""
-    made = ImageQuality(
+    """A good image quality with the fields of `other` replaced."""
+    good = ImageQuality(
         name="made.png",
         size_px=SIZE_PX,
         points_px=points_px,
@@ -28,11 +28,11 @@ def quality(points_px: np.ndarray, lean: tuple[float, float] = (0.0, 0.0), **oth
         lean=lean,
         faults=(),
     )
-    return made._replace(**other)
+    return good._replace(**other)
 
 
 def rectangle(left: float, upper: float, right: float, lower: float) -> np.ndarray:
-    """Places in a part of the picture, given in shares of its sides."""
+    """Grid of positions in a part of the image, px. The arguments are fractions of its sides."""
     u, v = np.meshgrid(np.linspace(left, right, 5), np.linspace(upper, lower, 5))
     return np.stack([u, v], axis=-1).reshape(-1, 2) * SIZE_PX - 0.5
 
@@ -45,7 +45,7 @@ def camera(pan_deg: float, tilt_deg: float) -> Camera:
 
 
 def step_picture(blur_px: float, contrast: float, noise: float, turn_deg: float) -> np.ndarray:
-    """Bars of grey, exactly blurred: a step through a Gaussian is the error function of it."""
+    """Grey bars with an exact blur: a step blurred by a Gaussian is its error function."""
     v, u = np.mgrid[:160, :200].astype(float)
     angle = np.deg2rad(turn_deg)
     across = (np.cos(angle) * u + np.sin(angle) * v) % 64 - 32
@@ -58,9 +58,9 @@ def step_picture(blur_px: float, contrast: float, noise: float, turn_deg: float)
 
 
 def circles_picture(camera: Camera) -> np.ndarray:
-    """The places as dots, to look at."""
+    """An image of the grid's points as dots, for display."""
     picture = np.full(SIZE_PX[::-1], 220, dtype=np.uint8)
-    for place in GRID_MM:
-        u, v = np.asarray(camera.project(np.append(place, 0.0)))
+    for point_mm in GRID_MM:
+        u, v = np.asarray(camera.project(np.append(point_mm, 0.0)))
         cv2.circle(picture, (round(u), round(v)), 3, 30, -1)
     return picture

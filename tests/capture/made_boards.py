@@ -1,4 +1,4 @@
-"""Pictures of boards that are held before cameras which are known, still or while they move."""
+"""Pictures of boards before known cameras, at rest or moving."""
 
 from collections.abc import Sequence
 
@@ -21,7 +21,7 @@ _PAPER, _INK, _WALL = 215.0, 35.0, 120.0
 
 
 def matrix(camera: str) -> np.ndarray:
-    """(3, 4) of a camera, in the frame of the left one: the right one stands aside, turned in."""
+    """Camera matrix (3, 4) in the frame of the left camera. The right camera is turned inwards."""
     middle = (np.array(SIZE_PX) - 1.0) / 2.0
     intrinsics = np.diag([FOCAL_PX[camera], FOCAL_PX[camera], 1.0])
     intrinsics[:2, 2] = middle
@@ -33,7 +33,7 @@ def matrix(camera: str) -> np.ndarray:
 def hold_board(
     place_mm: ArrayLike, turn_deg: ArrayLike = (0.0, 0.0, 0.0), board: AbstractBoard = SHEET
 ) -> np.ndarray:
-    """(3, 4) a board whose middle is at a place before the left camera, turned about its axes."""
+    """Pose (3, 4) of a board with its centre before the left camera, turned about its axes."""
     turn = np.asarray(rotation_from_vector(np.radians(np.asarray(turn_deg, dtype=float))))
     rotation = turn @ np.diag([1.0, -1.0, -1.0])
     middle = np.append(board.centres_mm.mean(axis=0), 0.0)
@@ -41,15 +41,15 @@ def hold_board(
 
 
 def _draw_sheet(board: AbstractBoard) -> tuple[np.ndarray, np.ndarray]:
-    """(the print with a white margin, the homography from its pixels to millimetres)."""
+    """The printed sheet with a white margin, and the homography from its pixels to millimetres."""
     low, high = board.centres_mm.min(axis=0) - _MARGIN_MM, board.centres_mm.max(axis=0) + _MARGIN_MM
     width, height = np.ceil((high - low) * _PX_PER_MM).astype(int)
     to_mm = np.array([[1 / _PX_PER_MM, 0, low[0]], [0, -1 / _PX_PER_MM, high[1]], [0, 0, 1.0]])
     sheet = np.full((height, width), _PAPER, np.float32)
 
-    def fixed_point(places_mm: ArrayLike) -> np.ndarray:
-        places = (np.asarray(places_mm) - (low[0], high[1])) * (_PX_PER_MM, -_PX_PER_MM)
-        return np.round(places * 2**_SHIFT).astype(np.int32)
+    def fixed_point(positions_mm: ArrayLike) -> np.ndarray:
+        positions_px = (np.asarray(positions_mm) - (low[0], high[1])) * (_PX_PER_MM, -_PX_PER_MM)
+        return np.round(positions_px * 2**_SHIFT).astype(np.int32)
 
     for part in board.drawing():
         level = _INK if part.is_ink else _PAPER
@@ -66,7 +66,7 @@ def _draw_sheet(board: AbstractBoard) -> tuple[np.ndarray, np.ndarray]:
 def board_picture(
     camera: str, poses: Sequence[np.ndarray], seed: int = 0, board: AbstractBoard = SHEET
 ) -> np.ndarray:
-    """What a camera sees of a board that takes these poses, (3, 4) each, while it looks."""
+    """The image of a board that takes these poses, (3, 4) each, during one exposure."""
     sheet, to_mm = _draw_sheet(board)
     finer = np.diag([_FINE, _FINE, 1.0])
     finer[:2, 2] = (_FINE - 1) / 2
@@ -83,6 +83,6 @@ def board_picture(
 
 
 def move_poses(pose: np.ndarray, by_mm: ArrayLike, steps: int = 9) -> list[np.ndarray]:
-    """The poses of a board that moves by so much while the camera looks, past the one given."""
+    """Poses of a board that moves past a given pose during one exposure."""
     shares = np.linspace(-0.5, 0.5, steps)
     return [np.column_stack([pose[:, :3], pose[:, 3] + s * np.asarray(by_mm)]) for s in shares]

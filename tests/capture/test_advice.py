@@ -1,4 +1,4 @@
-"""What to do next, from made-up pictures."""
+"""The advice about the next picture, for synthetic picture qualities."""
 
 import pytest
 
@@ -20,7 +20,7 @@ def test_one_begins_in_the_middle() -> None:
 
 
 @pytest.mark.parametrize(
-    ("missing", "words"),
+    ("missing", "region"),
     [
         ((0.5, 0.0, 1.0, 0.5), "the upper right corner"),
         ((0.0, 0.5, 0.5, 1.0), "the lower left corner"),
@@ -28,7 +28,7 @@ def test_one_begins_in_the_middle() -> None:
         ((0.0, 0.6, 1.0, 1.0), "the lower"),
     ],
 )
-def test_the_emptiest_part_of_the_field_comes_next(missing, words) -> None:
+def test_the_emptiest_part_of_the_field_comes_next(missing, region) -> None:
     left, upper, right, lower = missing
     parts = [
         (0.01, 0.01, left - 0.02, 0.99),
@@ -37,17 +37,17 @@ def test_the_emptiest_part_of_the_field_comes_next(missing, words) -> None:
         (0.01, lower + 0.02, 0.99, 0.99),
     ]
     shown = [quality(rectangle(*part)) for part in parts if part[0] < part[2] and part[1] < part[3]]
-    assert words in next_step(shown)
+    assert region in next_step(shown)
 
 
 def test_then_every_side_is_to_be_far_once_and_then_it_is_enough() -> None:
     shown = [quality(ALL)]
-    said = []
+    sentences = []
     for lean in LEANS:
-        said.append(next_step(shown))
+        sentences.append(next_step(shown))
         shown.append(quality(ALL, lean))
-    for far, text in zip(("right", "left", "upper"), said):
-        assert f"its {far} side farther" in text
+    for far, sentence in zip(("right", "left", "upper"), sentences):
+        assert f"its {far} side farther" in sentence
     assert next_step(shown).startswith("Enough")
     assert "more" in next_step(shown[:5])
 

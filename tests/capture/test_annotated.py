@@ -1,4 +1,4 @@
-"""A picture of what was seen where no board was found."""
+"""The annotated picture of a failed detection marks possible circles."""
 
 import cv2
 import numpy as np
@@ -22,8 +22,8 @@ def discs(dtype: type, scale: int = 1) -> np.ndarray:
 def test_rings_stand_around_what_could_be_circles_and_nowhere_else(dtype, scale) -> None:
     drawn = failure_picture(discs(dtype, scale), ["no sheet"])
     height = round(drawn.shape[1] * 480 / 640)
-    seen = drawn[len(drawn) - height :].astype(int)
-    coloured = np.argwhere(seen[..., 0] - seen[..., 2] > 60)[:, ::-1]
+    picture = drawn[len(drawn) - height :].astype(int)
+    coloured = np.argwhere(picture[..., 0] - picture[..., 2] > 60)[:, ::-1]
     zoom = drawn.shape[1] / 640
     distance = np.linalg.norm(coloured[:, None] / zoom - np.array(CENTRES), axis=2)
     nearest = distance.min(axis=1)

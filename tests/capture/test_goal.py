@@ -1,4 +1,4 @@
-"""The board held as it is wanted: seen whole, new each time, and enough in the end."""
+"""Following the goals shows the whole board, adds information each time and ends."""
 
 import numpy as np
 import pytest
@@ -21,12 +21,17 @@ def test_who_follows_the_goals_shows_something_new_each_time_until_it_is_enough(
 ) -> None:
     points_mm, shown = grid_mm(*grid), []
     while (goal := next_goal(shown)) is not None:
-        places = goal_points_px(goal, points_mm, size_px)
-        pitch_px = np.linalg.norm(places[1] - places[0])
+        positions_px = goal_points_px(goal, points_mm, size_px)
+        pitch_px = np.linalg.norm(positions_px[1] - positions_px[0])
         # With its outer squares, which a chessboard must show.
-        assert (places > 0.9 * pitch_px * (goal.lean == (0.0, 0.0)) - 1).all()
-        assert (places < np.array(size_px) - 0.9 * pitch_px * (goal.lean == (0.0, 0.0))).all()
-        now = quality(places, measure_lean(points_mm, places), points_mm=points_mm, size_px=size_px)
+        assert (positions_px > 0.9 * pitch_px * (goal.lean == (0.0, 0.0)) - 1).all()
+        assert (positions_px < np.array(size_px) - 0.9 * pitch_px * (goal.lean == (0.0, 0.0))).all()
+        now = quality(
+            positions_px,
+            measure_lean(points_mm, positions_px),
+            points_mm=points_mm,
+            size_px=size_px,
+        )
         assert adds_information(shown, now) or "more" in goal.sentence
         shown.append(now)
         assert len(shown) < 70
@@ -37,12 +42,14 @@ def test_who_follows_the_goals_shows_something_new_each_time_until_it_is_enough(
 @pytest.mark.parametrize("lean", [(0.2, 0.0), (-0.2, 0.0), (0.0, 0.2), (0.0, -0.2)])
 def test_what_is_drawn_leans_as_is_said(lean: tuple[float, float]) -> None:
     points_mm = grid_mm(5, 7)
-    found = measure_lean(points_mm, goal_points_px(Goal("", lean=lean), points_mm, (640, 480)))
-    np.testing.assert_allclose(found, lean, atol=0.4 * LEAN)
+    measured_lean = measure_lean(
+        points_mm, goal_points_px(Goal("", lean=lean), points_mm, (640, 480))
+    )
+    np.testing.assert_allclose(measured_lean, lean, atol=0.4 * LEAN)
 
 
 def test_the_outline_is_the_frame_of_the_places() -> None:
     points_mm, goal = grid_mm(5, 7), Goal("", (0.2, 0.8), 0.4, turn_deg=30.0)
-    places = goal_points_px(goal, points_mm, (640, 480))
-    corners = places[[0, 6, 34, 28]]
+    positions_px = goal_points_px(goal, points_mm, (640, 480))
+    corners = positions_px[[0, 6, 34, 28]]
     np.testing.assert_allclose(goal_outline_px(goal, points_mm, (640, 480)), corners, atol=1e-9)

@@ -23,8 +23,8 @@ from trinoc.image.light import Light
 @pytest.mark.parametrize(("contrast", "noise"), [(200.0, 0.0), (60.0, 0.5), (200.0, 2.0)])
 def test_the_blur_of_an_edge_is_found(blur_px: float, contrast: float, noise: float) -> None:
     for turn_deg in (0.0, 27.0, 90.0):
-        found = edge_blur_px(step_picture(blur_px, contrast, noise, turn_deg))
-        assert found == pytest.approx(blur_px, rel=0.15, abs=0.1)
+        measured_px = edge_blur_px(step_picture(blur_px, contrast, noise, turn_deg))
+        assert measured_px == pytest.approx(blur_px, rel=0.15, abs=0.1)
 
 
 def test_blur_does_not_depend_on_the_unit_of_grey() -> None:
@@ -46,9 +46,9 @@ def test_shares_of_saturated_and_dark_pixels_in_any_depth(
     picture.flat[picture.size - dark :] = 0
     # One full pixel tells the range of a deeper picture.
     picture.flat[0] = full
-    found = measure_exposure(Light.from_picture(picture).levels)
-    assert found.saturated == pytest.approx(max(saturated, 1) / 400)
-    assert found.dark == pytest.approx(dark / 400)
+    exposure = measure_exposure(Light.from_picture(picture).levels)
+    assert exposure.saturated == pytest.approx(max(saturated, 1) / 400)
+    assert exposure.dark == pytest.approx(dark / 400)
 
 
 def test_cells_are_covered_where_places_are_and_between_them() -> None:
@@ -68,14 +68,14 @@ def test_lean_is_the_depth_from_side_to_side(pan: float, tilt: float) -> None:
     matrix = np.asarray(eye.matrix_px)
     homogeneous = np.column_stack([GRID_MM, np.zeros(25), np.ones(25)]) @ matrix.T
     points_px = homogeneous[:, :2] / homogeneous[:, 2:]
-    found = np.array(measure_lean(GRID_MM, points_px))
+    lean = np.array(measure_lean(GRID_MM, points_px))
     centre, ends = homogeneous[:, 2].mean(), np.ptp(homogeneous[:, 2])
     # Along the steepest way it is the whole difference of depth over the places' extent.
-    assert np.abs(found).max() <= ends / centre + 0.02
-    assert found @ found >= (0.4 * ends / centre) ** 2
+    assert np.abs(lean).max() <= ends / centre + 0.02
+    assert lean @ lean >= (0.4 * ends / centre) ** 2
     # The optical axis leans up: what is up in the picture is farther away.
     if tilt < 80:
-        assert found[1] < 0
+        assert lean[1] < 0
 
 
 def test_a_board_square_to_the_camera_does_not_lean() -> None:

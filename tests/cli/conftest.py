@@ -1,4 +1,4 @@
-"""Commands run in this process, without the user's compile cache and without a trace."""
+"""Run commands in this process without the user's compile cache and without a trace."""
 
 import logging
 from pathlib import Path

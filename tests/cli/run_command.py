@@ -1,4 +1,4 @@
-"""One run of a command, for all tests that read what it says and writes."""
+"""One run of a command, shared by the tests that read its output and its files."""
 
 import contextlib
 import io
@@ -29,7 +29,7 @@ class Run(NamedTuple):
 
 
 def run_command(arguments: Sequence[str], folder: Path) -> Run:
-    """Run a command in a folder, as a fixture of a module does; leaves no trace in this process."""
+    """Run a command in a folder, without a trace in this process. For fixtures of a module."""
     logger = logging.getLogger("trinoc")
     before = logger.handlers[:], logger.level, logger.propagate
     stdout, stderr = io.StringIO(), io.StringIO()

@@ -63,16 +63,16 @@ def test_every_option_that_a_sentence_names_exists() -> None:
 
 def test_an_option_of_a_command_line_is_one_of_that_command() -> None:
     lines = [
-        (file, *found)
+        (file, *match)
         for file, text in sentences()
-        for found in re.findall(r"trinoc ([a-z-]+)([^`]*)", text)
-        if found[0] in COMMANDS
+        for match in re.findall(r"trinoc ([a-z-]+)([^`]*)", text)
+        if match[0] in COMMANDS
     ]
     assert len(lines) > 10
     wrong = [
         f"{file}: trinoc {command} {option}"
-        for file, command, words in lines
-        for option in re.findall(r"(?<![\w-])--?[a-z][a-z-]*", words)
+        for file, command, options in lines
+        for option in re.findall(r"(?<![\w-])--?[a-z][a-z-]*", options)
         if option not in OPTIONS[command]
     ]
     assert wrong == []

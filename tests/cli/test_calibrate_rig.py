@@ -30,13 +30,13 @@ def test_a_board_is_drawn_with_its_layout(board, corners, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["corners"] == corners
     assert len(load_target(layout)) == corners
     assert "<polygon" in layout.with_suffix(".svg").read_text()
-    again = tmp_path / "again.json"
-    assert main(["pattern", str(layout), "--paper", "a3", "-o", str(again)]) == 0
-    assert again.read_text() == layout.read_text()
+    second_layout = tmp_path / "again.json"
+    assert main(["pattern", str(layout), "--paper", "a3", "-o", str(second_layout)]) == 0
+    assert second_layout.read_text() == layout.read_text()
 
 
 @pytest.mark.parametrize(
-    ("places", "says", "status"),
+    ("folders", "message", "status"),
     [
         ([], "No pictures are given", 2),
         (["left"], "names no camera", 2),
@@ -45,14 +45,14 @@ def test_a_board_is_drawn_with_its_layout(board, corners, tmp_path, capsys):
         (["left=pictures"], 'found in no image of camera "left"', 1),
     ],
 )
-def test_mistakes_are_told_in_one_sentence(places, says, status, tmp_path, monkeypatch, capsys):
+def test_mistakes_are_told_in_one_sentence(folders, message, status, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "pictures").mkdir()
     cv2.imwrite("pictures/1.png", np.full((60, 80), 100, np.uint8))
     assert main(["pattern", "charuco", "-o", "board.json", "--quiet"]) == 0
     capsys.readouterr()
-    assert main(["calibrate-rig", *places, "--board", "board.json", "--quiet"]) == status
-    assert says in capsys.readouterr().err
+    assert main(["calibrate-rig", *folders, "--board", "board.json", "--quiet"]) == status
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "rig.json").exists()
 
 
@@ -85,13 +85,13 @@ def test_boards_that_look_alike_are_told_apart_by_their_first_marker(tmp_path, m
     for name, first in (("front", "0"), ("back", "19"), ("side", "20")):
         assert main(["pattern", "aprilgrid", f"first={first}", *size, "-o", f"{name}.json"]) == 0
     capsys.readouterr()
-    both = ["calibrate-rig", "left=pictures", "--quiet", "--board", "front.json", "--board"]
-    assert main([*both, "back.json"]) == 1
-    said = capsys.readouterr().err
+    command = ["calibrate-rig", "left=pictures", "--quiet", "--board", "front.json", "--board"]
+    assert main([*command, "back.json"]) == 1
+    stderr = capsys.readouterr().err
     assert (
-        'The boards "front" and "back" look alike in an image: both have the marker 19 of' in said
+        'The boards "front" and "back" look alike in an image: both have the marker 19 of' in stderr
     )
-    assert main([*both, "side.json"]) == 1
+    assert main([*command, "side.json"]) == 1
     assert "None of the boards front, side was found" in capsys.readouterr().err
 
 
@@ -132,8 +132,8 @@ def test_a_rig_of_two_cameras_states_their_baseline_and_draws_residuals_on_its_i
     assert abs(baseline["value"] - 150.0) < 5 * baseline["sigma"]
     # The size of the print, and the mean of its stretches along X and Y.
     assert baseline["sigma_board_size"] == pytest.approx(0.002 * np.sqrt(1.5) * 150.0, rel=0.2)
-    both = np.hypot(baseline["sigma_board_size"], baseline["sigma_rest"])
-    assert both == pytest.approx(baseline["sigma"], rel=1e-6)
+    expected = np.hypot(baseline["sigma_board_size"], baseline["sigma_rest"])
+    assert expected == pytest.approx(baseline["sigma"], rel=1e-6)
     assert abs(angle["value"] - np.degrees(0.17)) < 5 * angle["sigma"]
     assert abs(pair["turn_deg"]["y"]["value"]) == pytest.approx(angle["value"], rel=0.05)
     assert record["pixel_sigma"]["median_px"] < record["pixel_sigma"]["worst_px"]

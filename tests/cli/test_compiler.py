@@ -1,4 +1,4 @@
-"""The commands choose XLA's quicker code generator and processors; users have the last word."""
+"""Commands set XLA's fast code generator and the CPU platform unless the user sets them."""
 
 import os
 
@@ -11,7 +11,7 @@ EMITTERS, SPLIT = "--xla_cpu_use_fusion_emitters", "--xla_cpu_parallel_codegen_s
 
 
 @pytest.mark.parametrize(
-    ("version", "own", "expected"),
+    ("version", "flags", "expected"),
     [
         ("0.10.2", None, f"{EMITTERS}=false {SPLIT}=1"),
         ("0.10.2", "--xla_a=1", f"{EMITTERS}=false {SPLIT}=1 --xla_a=1"),
@@ -20,21 +20,21 @@ EMITTERS, SPLIT = "--xla_cpu_use_fusion_emitters", "--xla_cpu_parallel_codegen_s
         ("0.100.0", "--xla_a=1", "--xla_a=1"),
     ],
 )
-def test_only_versions_that_know_the_flag_get_it(monkeypatch, version, own, expected) -> None:
+def test_only_versions_that_know_the_flag_get_it(monkeypatch, version, flags, expected) -> None:
     monkeypatch.setattr(jaxlib.version, "__version__", version)
     monkeypatch.delenv("XLA_FLAGS", raising=False)
-    if own is not None:
-        monkeypatch.setenv("XLA_FLAGS", own)
+    if flags is not None:
+        monkeypatch.setenv("XLA_FLAGS", flags)
     compile_quickly()
     compile_quickly()
     assert os.environ.get("XLA_FLAGS") == expected
 
 
-@pytest.mark.parametrize(("own", "expected"), [(None, "cpu"), ("cuda,cpu", "cuda,cpu")])
-def test_commands_leave_a_gpu_alone_that_nobody_names(monkeypatch, own, expected) -> None:
+@pytest.mark.parametrize(("platforms", "expected"), [(None, "cpu"), ("cuda,cpu", "cuda,cpu")])
+def test_commands_leave_a_gpu_alone_that_nobody_names(monkeypatch, platforms, expected) -> None:
     monkeypatch.setenv("XLA_FLAGS", "")
     monkeypatch.delenv("JAX_PLATFORMS", raising=False)
-    if own is not None:
-        monkeypatch.setenv("JAX_PLATFORMS", own)
+    if platforms is not None:
+        monkeypatch.setenv("JAX_PLATFORMS", platforms)
     compile_quickly()
     assert os.environ.get("JAX_PLATFORMS") == expected

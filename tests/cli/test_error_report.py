@@ -31,45 +31,45 @@ _SINGULAR = "np.linalg.inv(np.zeros((2, 2)))"
 def run(
     body: str, folder: Path, *flags: str, python: tuple[str, ...] = (), **environment: str
 ) -> subprocess.CompletedProcess[str]:
-    """`trinoc segments a.png -o s.npz`, whose job is the body."""
+    """Run `trinoc segments a.png -o s.npz` with `body` as the code of the job."""
     script = ["-c", _PROGRAM.format(body=body), "segments", "a.png", "-o", "s.npz"]
-    here = {key: own for key, own in os.environ.items() if key != "PYTHONWARNINGS"}
+    inherited = {key: value for key, value in os.environ.items() if key != "PYTHONWARNINGS"}
     return subprocess.run(
         [sys.executable, *python, *script, *flags],
         capture_output=True,
         text=True,
         cwd=folder,
-        env=here | {"PYTHONPATH": str(Path(trinoc.__file__).parents[1])} | environment,
+        env=inherited | {"PYTHONPATH": str(Path(trinoc.__file__).parents[1])} | environment,
         check=False,
     )
 
 
 @pytest.mark.parametrize("flags", [(), ("--json",)])
 def test_an_unexpected_exception_is_one_sentence_and_a_file(flags, tmp_path) -> None:
-    done = run(_SINGULAR, tmp_path, *flags)
+    process = run(_SINGULAR, tmp_path, *flags)
     (written,) = tmp_path.glob("trinoc-error-*.txt")
     sentence = (
         "trinoc stopped at an internal error: LinAlgError: Singular matrix. The details are in "
         f"{written.name}. Attach it to a report of this error."
     )
-    assert done.returncode == 1
-    assert done.stderr == f"trinoc: {sentence}\n"
-    assert done.stdout == (json.dumps({"error": sentence}) + "\n" if flags else "")
+    assert process.returncode == 1
+    assert process.stderr == f"trinoc: {sentence}\n"
+    assert process.stdout == (json.dumps({"error": sentence}) + "\n" if flags else "")
     text = written.read_text(encoding="utf-8")
-    for said in (
+    for line in (
         "command: trinoc segments a.png -o s.npz",
         "Traceback (most recent call last):",
         "numpy.linalg.LinAlgError: Singular matrix",
         f"trinoc {trinoc.__version__}",
         "opencv-python-headless",
     ):
-        assert said in text
+        assert line in text
 
 
 def test_a_long_message_stays_one_short_line(tmp_path) -> None:
-    done = run('raise ValueError("shapes\\\\n" * 1000)', tmp_path)
-    assert len(done.stderr.splitlines()) == 1
-    assert len(done.stderr) < 500
+    process = run('raise ValueError("shapes\\\\n" * 1000)', tmp_path)
+    assert len(process.stderr.splitlines()) == 1
+    assert len(process.stderr) < 500
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
@@ -113,10 +113,10 @@ _WARNS = (
 
 
 def test_warnings_of_python_and_numpy_are_not_shown(tmp_path) -> None:
-    done = run(_WARNS, tmp_path, "--quiet")
-    assert (done.returncode, done.stdout, done.stderr) == (0, "well\n", "")
+    process = run(_WARNS, tmp_path, "--quiet")
+    assert (process.returncode, process.stdout, process.stderr) == (0, "well\n", "")
 
 
 def test_warnings_are_shown_where_they_are_asked_for(tmp_path) -> None:
-    done = run(_WARNS, tmp_path, "--quiet", python=("-W", "default"))
-    assert "RuntimeWarning: overflow" in done.stderr
+    process = run(_WARNS, tmp_path, "--quiet", python=("-W", "default"))
+    assert "RuntimeWarning: overflow" in process.stderr

@@ -62,10 +62,10 @@ def test_the_demo_against_its_truth(run, folder):
     assert "two pictures" in record["wanted"]
     three = json.loads(run(*demo, "--stage", "trinocular", "--json")[1])
     assert record["lines"] > three["lines"] > 20
-    for found in (record, three):
-        assert found["precision_1mm"] > 0.9
-        assert found["distance_median_mm"] < 0.05
-        assert 0.8 < found["share_within_1.96_sigma"] <= 1
+    for values in (record, three):
+        assert values["precision_1mm"] > 0.9
+        assert values["distance_median_mm"] < 0.05
+        assert 0.8 < values["share_within_1.96_sigma"] <= 1
     assert record["completeness_1mm"] > 0.8
     with open(folder / "demo.csv", encoding="utf-8", newline="") as file:
         (row,) = csv.DictReader(file)
@@ -87,8 +87,8 @@ def test_matches_of_a_box(run):
     assert record["motion"] is None
     inches = json.loads(run(*of_matches("inches.csv", "--unit-mm", "25.4", "--json"))[1])
     assert inches["completeness_0.1mm"] == record["completeness_0.1mm"]
-    seen = json.loads(run(*of_matches("edges.csv", "--rig", "rig.json", "--json"))[1])
-    assert "two cameras" in seen["wanted"]
+    visible = json.loads(run(*of_matches("edges.csv", "--rig", "rig.json", "--json"))[1])
+    assert "two cameras" in visible["wanted"]
 
 
 def test_alignment_is_asked_for_and_said(run):

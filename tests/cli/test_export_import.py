@@ -42,24 +42,24 @@ def test_the_formats_on_offer_are_those_of_the_registry():
 def test_a_rig_leaves_and_comes_back(run, name):
     form = FORMATS[name]
     out = "out" if "folder" in form.place else f"out{form.endings[0]}"
-    status, said, warned = run("export", "rig.json", "--to", name, "-o", out)
+    status, stdout, warned = run("export", "rig.json", "--to", name, "-o", out)
     assert status == 0
-    assert f"written: {out}" in said
+    assert f"written: {out}" in stdout
     assert warned.count("\n") == 1
     assert "loses: " in warned
     keeps = name in ("opencv", "matlab")
     assert ("the covariance" in warned) != keeps
     more = ["--names", "upper,right,left"] if NAMES in form.loses else []
     lenses = ["--lens", "rig.json"] if name == "tf" else []
-    status, said, warned = run("export", out, "--from", name, "-o", "back.json", *more, *lenses)
+    status, stdout, warned = run("export", out, "--from", name, "-o", "back.json", *more, *lenses)
     assert (status, warned) == (0, "")
-    assert f"3 cameras, {'with' if keeps else 'without'} covariance: " in said
-    back = trinoc.load_rig("back.json")
-    assert set(back.names) == set(RIG.names)
-    assert back.parameters == (RIG.parameters if keeps else ())
-    for own, camera in RIG.items():
+    assert f"3 cameras, {'with' if keeps else 'without'} covariance: " in stdout
+    loaded = trinoc.load_rig("back.json")
+    assert set(loaded.names) == set(RIG.names)
+    assert loaded.parameters == (RIG.parameters if keeps else ())
+    for camera_name, camera in RIG.items():
         np.testing.assert_allclose(
-            back[own].intrinsics.matrix, camera.intrinsics.matrix, rtol=0, atol=1e-9
+            loaded[camera_name].intrinsics.matrix, camera.intrinsics.matrix, rtol=0, atol=1e-9
         )
     with open("back.json", encoding="utf-8") as file:
         provenance = json.load(file)["provenance"]
@@ -71,18 +71,20 @@ def test_poses_take_their_lenses_from_camera_files(run):
     assert run("export", "rig.json", "--to", "tf", "-o", "tf.json", "--quiet")[0] == 0
     lenses = [word for name in RIG for word in ("--lens", f"{name}=camera.json")]
     assert run("export", "tf.json", "--from", "tf", "-o", "back.json", *lenses)[0] == 0
-    back = trinoc.load_rig("back.json")
-    for own, camera in RIG.items():
-        np.testing.assert_allclose(back[own].cam_from_world, camera.cam_from_world, atol=1e-9)
+    loaded = trinoc.load_rig("back.json")
+    for camera_name, camera in RIG.items():
+        np.testing.assert_allclose(
+            loaded[camera_name].cam_from_world, camera.cam_from_world, atol=1e-9
+        )
 
 
 def test_a_lens_leaves_and_comes_back(run):
     assert run("export", "camera.json", "--to", "ros", "-o", "upper.yaml")[0] == 0
-    status, said, _ = run("export", "upper.yaml", "--from", "ros", "-o", "back.json")
+    status, stdout, _ = run("export", "upper.yaml", "--from", "ros", "-o", "back.json")
     assert status == 0
-    assert "a lens, without covariance" in said
-    back = load_intrinsics("back.json")
-    np.testing.assert_array_equal(back.distortion, RIG["upper"].intrinsics.distortion)
+    assert "a lens, without covariance" in stdout
+    loaded = load_intrinsics("back.json")
+    np.testing.assert_array_equal(loaded.distortion, RIG["upper"].intrinsics.distortion)
 
 
 def test_a_lens_that_folds_in_the_corners_is_warned_of_where_it_is_read(run):
@@ -120,9 +122,9 @@ def test_matches_leave(run, name):
     if name == "parquet":
         pytest.importorskip("pyarrow", reason="pyarrow is not installed")
     out = f"out{(FORMATS[name].endings or ('',))[0]}"
-    status, said, warned = run("export", "matches.npz", "--to", name, "-o", out, "--json")
+    status, stdout, warned = run("export", "matches.npz", "--to", name, "-o", out, "--json")
     assert status == 0
-    record = json.loads(said)
+    record = json.loads(stdout)
     assert record["format"] == name
     assert record["written"] == [out]
     assert bool(record["lost"]) == bool(warned)
@@ -130,9 +132,9 @@ def test_matches_leave(run, name):
 
 def test_segments_leave_and_come_back(run):
     assert run("export", "segments.npz", "--to", "elsed", "-o", "segments.txt")[0] == 0
-    status, said, _ = run("export", "segments.txt", "--from", "elsed", "-o", "back.npz", "--json")
+    status, stdout, _ = run("export", "segments.txt", "--from", "elsed", "-o", "back.npz", "--json")
     assert status == 0
-    assert json.loads(said)["segments"] == 1
+    assert json.loads(stdout)["segments"] == 1
     np.testing.assert_array_equal(
         trinoc.load_segments("back.npz").endpoints_px, [[[1.0, 2], [3, 4]]]
     )
@@ -141,11 +143,11 @@ def test_segments_leave_and_come_back(run):
 def test_units_are_the_user_s(run):
     out = ("--to", "opencv", "-o", "metres.yml", "--unit-mm", "1000")
     assert run("export", "rig.json", *out)[0] == 0
-    back = ("--from", "opencv", "-o", "back.json")
-    assert run("export", "metres.yml", *back)[0] == 0
+    import_arguments = ("--from", "opencv", "-o", "back.json")
+    assert run("export", "metres.yml", *import_arguments)[0] == 0
     small = np.linalg.norm(trinoc.load_rig("back.json")["upper"].centre_world_mm)
     assert small == pytest.approx(0.476369)
-    assert run("export", "metres.yml", *back, "--unit-mm", "1000")[0] == 0
+    assert run("export", "metres.yml", *import_arguments, "--unit-mm", "1000")[0] == 0
     full = np.linalg.norm(trinoc.load_rig("back.json")["upper"].centre_world_mm)
     assert full == pytest.approx(476.369)
 

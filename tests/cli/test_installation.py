@@ -1,4 +1,4 @@
-"""`trinoc --version`: what is installed, and what is not as it should be with its remedy."""
+"""`trinoc --version` lists the installed packages, and each problem with its remedy."""
 
 import importlib.metadata
 

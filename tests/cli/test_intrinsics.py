@@ -51,8 +51,8 @@ def test_pictures_become_a_lens_with_covariance(folder, capsys):
     assert record["pictures"] == 5
     assert record["written"] == [str(out)]
     for name, true in (("fx_px", 610.0), ("fy_px", 745.0), ("cx_px", 159.5), ("k1", -0.2)):
-        found = record["parameters"][name]
-        assert abs(found["value"] - true) < 5 * found["sigma"]
+        estimate = record["parameters"][name]
+        assert abs(estimate["value"] - true) < 5 * estimate["sigma"]
     lens, covariance = load_intrinsics(out), load_lens_covariance(out)
     assert lens.image_size_px == (320, 300)
     assert covariance is not None
@@ -81,9 +81,9 @@ def test_what_grey_levels_cannot_do_is_said(folder):
     image = np.asarray(cv2.imread(pictures(folder)[0], cv2.IMREAD_GRAYSCALE))
     with pytest.raises(InputError, match="estimates both focal lengths"):
         trinoc.calibrate_intrinsics([image], SHEET, method="pixels", aspect="pitch")
-    found = trinoc.calib.detect_pattern(image, SHEET)
+    detection = trinoc.calib.detect_pattern(image, SHEET)
     with pytest.raises(InputError, match="is a detection without grey levels"):
-        trinoc.calibrate_intrinsics([found], SHEET, method="pixels")
+        trinoc.calibrate_intrinsics([detection], SHEET, method="pixels")
 
 
 def test_a_picture_without_sheet_is_named_and_one_alone_fails(folder, capsys):

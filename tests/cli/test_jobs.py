@@ -80,13 +80,13 @@ def test_calibrate(run, folder, suffix):
 
 @pytest.fixture(scope="module")
 def upper(folder):
-    """One camera calibrated, as people read it."""
+    """The text output of calibrating one camera."""
     return run_command([*calibrate("upper=upper.png"), "-o", "upper.json", "--quiet"], folder)
 
 
 @pytest.fixture(scope="module")
 def matched(folder):
-    """The pictures of the sheet matched as a scene."""
+    """The run of `trinoc match` on the pictures of the sheet."""
     command = ["match", *views("png"), "--rig", "rig.json", "-o", "matched.npz"]
     return run_command([*command, "--json", "--quiet"], folder)
 
@@ -136,12 +136,12 @@ def test_a_longer_print_is_a_longer_distance(run, folder):
 def test_segments_then_match_is_match_of_pictures(run, folder, matched):
     for name in RIG:
         assert run("segments", f"{name}.png", "-o", f"{name}.npz")[0] == 0
-    found = run("match", *views("npz"), "--rig", "rig.json", "-o", "a.npz", "--json")
-    assert found[0] == matched.status == 0
+    result = run("match", *views("npz"), "--rig", "rig.json", "-o", "a.npz", "--json")
+    assert result[0] == matched.status == 0
     a, b = (trinoc.load_matches(folder / file) for file in ("a.npz", "matched.npz"))
     np.testing.assert_array_equal(a.index, b.index)
     np.testing.assert_array_equal(a.lines_mm, b.lines_mm)
-    assert json.loads(found[1])["tracks"] == matched.record["tracks"]
+    assert json.loads(result[1])["tracks"] == matched.record["tracks"]
 
 
 @pytest.mark.usefixtures("matched")
@@ -221,7 +221,7 @@ REFUSED = {
 
 @pytest.fixture(scope="module")
 def broken(folder):
-    """Files that are not right."""
+    """A folder of invalid files."""
     lens = trinoc.Intrinsics(focal_length_px=1000.0, image_size_px=(640, 480))
     trinoc.save(lens, folder / "lens.json")
     cv2.imwrite(str(folder / "small.png"), np.zeros((48, 64), np.uint8))
@@ -302,13 +302,13 @@ def test_the_readme_s_code_and_the_command_agree_on_a_colour_picture(folder, run
 
 def test_pictures_under_each_others_names_fail_the_match_with_the_cause(tmp_path, capsys):
     scenes = demo_paths("scene")
-    given = {"upper": scenes["left"], "left": scenes["upper"], "right": scenes["right"]}
+    paths = {"upper": scenes["left"], "left": scenes["upper"], "right": scenes["right"]}
     trinoc.save(table1_rig(), tmp_path / "rig.json")
-    pictures = [f"{name}={path}" for name, path in given.items()]
+    pictures = [f"{name}={path}" for name, path in paths.items()]
     out = tmp_path / "m.npz"
     command = ["match", *pictures, "--rig", str(tmp_path / "rig.json"), "-o", str(out), "--quiet"]
     assert main([*command, "--json"]) == 1
-    said = capsys.readouterr()
-    assert "do not seem to belong together" in said.err
-    assert json.loads(said.out)["status"] == "suspect"
+    output = capsys.readouterr()
+    assert "do not seem to belong together" in output.err
+    assert json.loads(output.out)["status"] == "suspect"
     assert trinoc.load(out).status.name == "SUSPECT"

@@ -1,4 +1,4 @@
-"""What the command prints where, and how it ends."""
+"""The output streams of the command and its exit codes."""
 
 import json
 import os
@@ -51,9 +51,9 @@ def test_an_export_imports_no_calibration_matcher_or_page(tmp_path):
 
 
 def imported(statement: str, names: str, folder: Path) -> set[str]:
-    """Those of the modules that a process of its own has imported after a statement."""
+    """The modules, of those listed, that a new process has imported after a statement."""
     script = f"import sys; {statement}; print(); print(*set('{names}'.split()) & set(sys.modules))"
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", script],
         capture_output=True,
         text=True,
@@ -61,7 +61,7 @@ def imported(statement: str, names: str, folder: Path) -> set[str]:
         cwd=folder,
         env=os.environ | {"PYTHONPATH": str(Path(trinoc.__file__).parents[1])},
     )
-    return set(done.stdout.split("\n")[-2].split())
+    return set(process.stdout.split("\n")[-2].split())
 
 
 def test_version(capsys):
@@ -71,16 +71,16 @@ def test_version(capsys):
 
 def test_the_module_is_the_command():
     run = [sys.executable, "-m", "trinoc", "--version"]
-    done = subprocess.run(run, capture_output=True, text=True, check=True)
-    assert done.stdout.startswith(f"trinoc {trinoc.__version__}\n")
+    process = subprocess.run(run, capture_output=True, text=True, check=True)
+    assert process.stdout.startswith(f"trinoc {trinoc.__version__}\n")
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
 def test_a_shell_is_told_the_commands(shell, capsys):
     assert main(["--tyro-print-completion", shell]) == 0
-    said = capsys.readouterr().out
+    script = capsys.readouterr().out
     for word in ("calibrate", "match", "export"):
-        assert word in said
+        assert word in script
 
 
 def test_help_goes_to_stdout(capsys):

@@ -73,5 +73,5 @@ def test_each_frame_of_a_recording_has_the_verdict_of_its_matches():
         assert (fate.name in listed) is (assessment.status is not MatchStatus.MATCHED)
         reasons = {name: line[name] for name in ("suspect", "uncertain") if name in line}
         assert set(reasons) == {fate.status} - {"matched"}
-        assert all(said == listed[fate.name].problem for said in reasons.values())
+        assert all(reason == listed[fate.name].problem for reason in reasons.values())
     assert listed["none"].status == "failed"

@@ -22,7 +22,7 @@ LENS = ["--lens-mm", "16"]
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         ([*LENS, "16.2", "13.4"], "looks like micrometres: write 0.0162 0.0134 millimetres"),
         ([*LENS, "1.62e-5", "1.34e-5"], "looks like metres: write 0.0162 0.0134 millimetres"),
@@ -34,11 +34,11 @@ LENS = ["--lens-mm", "16"]
         (["--lens-mm", "0.016", ".01", ".01"], "looks like metres: write 16 millimetres"),
     ],
 )
-def test_options_are_checked_before_any_file_is_read(arguments, said, capsys):
+def test_options_are_checked_before_any_file_is_read(arguments, message, capsys):
     assert main(["calibrate", "a=none.png", "--board", "none.json", *arguments]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1
-    assert said in err
+    assert message in err
 
 
 @pytest.mark.parametrize(

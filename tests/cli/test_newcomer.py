@@ -20,7 +20,7 @@ VIEWS = [f"{name}={name}.png" for name in RIG]
 
 @pytest.fixture(scope="module")
 def folder(sheet_and_box: Path) -> Path:
-    """What a newcomer has: a sheet, a picture of it by each camera, and a scene's segments."""
+    """The files of a new user: a sheet, its picture by each camera, and a scene's segments."""
     return sheet_and_box
 
 
@@ -53,13 +53,18 @@ def test_what_a_data_sheet_gives_is_read_by_every_command(run, folder):
     assert json.loads((folder / "rig.json").read_text())["provenance"]["sigmas_include"] == included
     assert "print size (0.2 %)" in (folder / "report.html").read_text(encoding="utf-8")
     for name, camera in RIG.items():
-        told = record["cameras"][name]
-        assert told["method"] in ("pixels", "points")
+        camera_record = record["cameras"][name]
+        assert camera_record["method"] in ("pixels", "points")
         # The paper's four are told; the rig also holds the aim and the lens.
-        assert set(told["parameters"]) == {"pan_deg", "tilt_deg", "swing_deg", "distance_mm"}
-        for key, found in told["parameters"].items():
-            assert found["sigma"] == pytest.approx(rig.sigma(f"{name}.{key}"), rel=1e-12)
-            assert abs(found["value"] - getattr(camera, key)) < 4 * found["sigma"]
+        assert set(camera_record["parameters"]) == {
+            "pan_deg",
+            "tilt_deg",
+            "swing_deg",
+            "distance_mm",
+        }
+        for key, estimate in camera_record["parameters"].items():
+            assert estimate["sigma"] == pytest.approx(rig.sigma(f"{name}.{key}"), rel=1e-12)
+            assert abs(estimate["value"] - getattr(camera, key)) < 4 * estimate["sigma"]
         assert rig.sigma(f"{name}.aim_x_mm") > 0
         assert rig.sigma(f"{name}.fx_px") > 0
     # Pose and lens err together, so that points near the sheet are known well all the same.
@@ -91,14 +96,16 @@ def test_what_a_data_sheet_gives_is_read_by_every_command(run, folder):
 
 
 def test_bars_that_measure_what_they_should_are_measured_all_the_same(run):
-    """What counts most is advised, and what was measured no more."""
+    """The advice names the largest error source, and omits a source that was measured."""
     points = calibrate("--method", "points", "--sigma", "lens=0", "-o", "bars.json", "--json")
     assumed = json.loads(run(*points)[1])
     assert "measure the two bars of the sheet (--print-scale)" in assumed["advice"]
     measured = json.loads(run(*points, "--print-scale", "1", "1", "--force")[1])
     assert "bars" not in measured["advice"]
     assert "The sigmas assume that the lens is exact" in measured["advice"]
-    sigmas = [each["cameras"]["upper"]["parameters"]["distance_mm"] for each in (assumed, measured)]
+    sigmas = [
+        record["cameras"]["upper"]["parameters"]["distance_mm"] for record in (assumed, measured)
+    ]
     assert sigmas[1]["sigma"] < 0.3 * sigmas[0]["sigma"]
 
 
@@ -116,9 +123,9 @@ def test_all_that_is_exact_is_the_model_of_the_paper(run, folder):
     result = trinoc.calibrate(images, pattern, lens, method="points", systematics=exact)
     for parameter, value in zip(result.parameters, result.values, strict=True):
         name, _, key = parameter.partition(".")
-        found = record["cameras"][name]["parameters"][key]
-        assert found["value"] == pytest.approx(value, rel=1e-12)
-        assert found["sigma"] == pytest.approx(result.sigma(parameter), rel=1e-9)
+        estimate = record["cameras"][name]["parameters"][key]
+        assert estimate["value"] == pytest.approx(value, rel=1e-12)
+        assert estimate["sigma"] == pytest.approx(result.sigma(parameter), rel=1e-9)
     assert trinoc.load_rig(folder / "exact.json").parameters == result.parameters
     assert all(record["cameras"][name]["method"] == "points" for name in RIG)
 
@@ -128,8 +135,8 @@ def test_all_that_is_exact_is_the_model_of_the_paper(run, folder):
 def test_what_is_no_sigma_is_refused_before_anything_is_read(name, value, capsys):
     files = ("--board", "none.json", "a=none.png")
     assert main(["calibrate", *files, *LENS, "--sigma", f"{name}={value}", "--quiet"]) == 2
-    told = capsys.readouterr().err
+    stderr = capsys.readouterr().err
     why = "no standard deviation" if value == "-1" else "give a finite number"
-    assert f"--sigma {name}={value}" in told
-    assert why in told
-    assert "Traceback" not in told
+    assert f"--sigma {name}={value}" in stderr
+    assert why in stderr
+    assert "Traceback" not in stderr

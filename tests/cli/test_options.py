@@ -51,9 +51,9 @@ def test_lens_from_one_file_or_from_one_for_each(tmp_path):
     for focal_px, name in enumerate(SIZES, 1000):
         lens = trinoc.Intrinsics(focal_length_px=float(focal_px), image_size_px=SIZES[name])
         trinoc.save(lens, files[name])
-    one = LensOptions(lens=(str(files["left"]),))
-    assert [lens.focal_length_px[0] for lens in one.lenses(SIZES).values()] == [1001.0] * 2
-    assert one.files() == {"lens": files["left"]}
+    shared = LensOptions(lens=(str(files["left"]),))
+    assert [lens.focal_length_px[0] for lens in shared.lenses(SIZES).values()] == [1001.0] * 2
+    assert shared.files() == {"lens": files["left"]}
     each = LensOptions(lens=tuple(f"{name}={file}" for name, file in files.items()))
     assert [lens.focal_length_px[0] for lens in each.lenses(SIZES).values()] == [1000.0, 1001.0]
     with pytest.raises(UsageError, match='no file for the camera "left"'):
@@ -65,30 +65,30 @@ def test_covariance_of_the_lens_is_that_of_its_file(tmp_path):
     lens = trinoc.Intrinsics(focal_length_px=1000.0, image_size_px=SIZES["left"])
     save_intrinsics(lens, files["left"], covariance=covariance)
     save_intrinsics(lens, files["upper"])
-    one = LensOptions(lens=(str(files["left"]),))
+    shared = LensOptions(lens=(str(files["left"]),))
     lenses = dict.fromkeys(SIZES, lens)
-    np.testing.assert_array_equal(one.covariance(lenses), covariance)
-    each = LensOptions(lens=tuple(f"{name}={file}" for name, file in files.items()))
-    found = each.covariance(lenses)
-    assert isinstance(found, dict)
-    assert list(found) == ["left"]
+    np.testing.assert_array_equal(shared.covariance(lenses), covariance)
+    per_camera = LensOptions(lens=tuple(f"{name}={file}" for name, file in files.items()))
+    covariances = per_camera.covariance(lenses)
+    assert isinstance(covariances, dict)
+    assert list(covariances) == ["left"]
 
 
 def test_a_data_sheet_is_not_exact(tmp_path):
     numbers = LensOptions(lens_mm=(16.0, 0.01, 0.02))
     lenses = numbers.lenses(SIZES)
-    found = numbers.covariance(lenses)
-    assert isinstance(found, dict)
+    covariances = numbers.covariance(lenses)
+    assert isinstance(covariances, dict)
     for name, (width, _) in SIZES.items():
-        sigma = np.sqrt(np.diag(found[name]))
+        sigma = np.sqrt(np.diag(covariances[name]))
         assert sigma[:2] / lenses[name].focal_length_px == pytest.approx([0.01, 0.01], rel=0.01)
         assert sigma[2:4] == pytest.approx(0.02 * width)
     # The same lens from a file that states no covariance.
     save_intrinsics(lenses["left"], tmp_path / "left.json")
     file = LensOptions(lens=(str(tmp_path / "left.json"),))
-    again = file.covariance(dict.fromkeys(SIZES, lenses["left"]))
-    assert isinstance(again, dict)
-    np.testing.assert_allclose(again["upper"], found["left"])
+    from_file = file.covariance(dict.fromkeys(SIZES, lenses["left"]))
+    assert isinstance(from_file, dict)
+    np.testing.assert_allclose(from_file["upper"], covariances["left"])
 
 
 def test_lens_that_is_not_determined_is_wrong_usage():
@@ -140,33 +140,33 @@ def test_files_between_options_are_taken(typed, meant):
 
 
 def test_what_a_board_has_may_stand_behind_its_options(tmp_path):
-    place = tmp_path / "board.json"
+    layout = tmp_path / "board.json"
     size = ("--rows", "4", "--columns", "5", "square_mm=11")
-    assert main(["pattern", "charuco", *size, "-o", str(place), "--quiet"]) == 0
-    assert '"square_mm": 11' in place.read_text()
+    assert main(["pattern", "charuco", *size, "-o", str(layout), "--quiet"]) == 0
+    assert '"square_mm": 11' in layout.read_text()
 
 
 CAMERA = ("field_deg=30", "size_px=1280,960")
 
 
 def test_a_sheet_is_proposed_for_a_camera_and_a_distance(tmp_path, capsys):
-    place = str(tmp_path / "sheet.json")
-    assert main(["pattern", "--camera", "distance_mm=500", *CAMERA, "-o", place]) == 0
+    layout = str(tmp_path / "sheet.json")
+    assert main(["pattern", "--camera", "distance_mm=500", *CAMERA, "-o", layout]) == 0
     assert "px wide" in capsys.readouterr().out
-    assert main(["pattern", "--camera", "distance_mm=500", "-o", place]) == 2
+    assert main(["pattern", "--camera", "distance_mm=500", "-o", layout]) == 2
     assert "--camera lacks field_deg and size_px" in capsys.readouterr().err
-    for words, says in (
+    for settings, message in (
         (("distance_mm=-5", *CAMERA), "distance_mm is -5"),
         (("distance_mm=500", "field_deg=200", CAMERA[1]), "field_deg is 200"),
     ):
-        assert main(["pattern", "-o", place, "--camera", *words]) == 2
-        assert says in capsys.readouterr().err
+        assert main(["pattern", "-o", layout, "--camera", *settings]) == 2
+        assert message in capsys.readouterr().err
     for other in ("charuco",), ("--rows", "8"), ("sheet", "radius_mm=5"):
-        assert main(["pattern", *other, "--camera", "distance_mm=500", "-o", place]) == 2
+        assert main(["pattern", *other, "--camera", "distance_mm=500", "-o", layout]) == 2
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("arguments", "message"),
     [
         (("chess",), "no kind of board: give sheet"),
         (("charuco", "marker=3"), "write marker_mm=VALUE"),
@@ -180,9 +180,9 @@ def test_a_sheet_is_proposed_for_a_camera_and_a_distance(tmp_path, capsys):
         (("layout.json", "tag_mm=3"), "omit tag_mm=3"),
     ],
 )
-def test_a_kind_says_what_it_has(words, says, tmp_path, capsys):
-    assert main(["pattern", *words, "-o", str(tmp_path / "board.json")]) == 2
-    assert says in capsys.readouterr().err
+def test_a_kind_says_what_it_has(arguments, message, tmp_path, capsys):
+    assert main(["pattern", *arguments, "-o", str(tmp_path / "board.json")]) == 2
+    assert message in capsys.readouterr().err
     assert not any(tmp_path.iterdir())
 
 
@@ -190,19 +190,19 @@ SCREEN = ("--screen", "size_px=1920,1080", "diagonal_inch=24")
 
 
 def test_a_screen_as_target_gets_a_picture_and_a_layout(tmp_path, capsys):
-    place = tmp_path / "sheet.png"
-    assert main(["pattern", "-o", str(place), *SCREEN]) == 0
+    image = tmp_path / "sheet.png"
+    assert main(["pattern", "-o", str(image), *SCREEN]) == 0
     out = capsys.readouterr().out
     assert "Pixels of 0.2767 mm" in out
     assert "--print-scale" in out
-    assert {each.name for each in tmp_path.iterdir()} == {"sheet.png", "sheet.json"}
+    assert {path.name for path in tmp_path.iterdir()} == {"sheet.png", "sheet.json"}
     camera = ("--camera", "distance_mm=900", "field_deg=30", "size_px=1280x960")
-    assert main(["pattern", "-o", str(place), *SCREEN, *camera]) == 0
+    assert main(["pattern", "-o", str(image), *SCREEN, *camera]) == 0
     assert "px wide" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
-    ("options", "status", "says"),
+    ("options", "status", "message"),
     [
         (("-o", "sheet.png"), 2, "--screen size_px=1920,1080"),
         (("-o", "sheet.png", "--screen", "size_px=1920,-1080", "diagonal_inch=24"), 2, "width"),
@@ -216,19 +216,19 @@ def test_a_screen_as_target_gets_a_picture_and_a_layout(tmp_path, capsys):
     ],
 )
 def test_a_screen_that_is_not_said_or_too_small(
-    options, status, says, tmp_path, monkeypatch, capsys
+    options, status, message, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
     assert main(["pattern", *options]) == status
-    assert says in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not any(tmp_path.iterdir())
 
 
 def help_text(command: str) -> str:
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said):
+    stdout = io.StringIO()
+    with contextlib.redirect_stdout(stdout):
         assert main([command, "--help"]) == 0
-    return said.getvalue()
+    return stdout.getvalue()
 
 
 @pytest.mark.parametrize(
@@ -248,10 +248,10 @@ def test_the_help_names_every_setting(command, names):
 
 def test_settings_are_read_by_their_parsers():
     parsers = {"a_mm": parse_number, "b": parse_truth, "c": parse_pair(parse_integer)}
-    said = read_settings("--x", [["a-mm=1.5", "b=no"], ["c=3"]], parsers)
-    assert said == {"a_mm": 1.5, "b": False, "c": (3, 3)}
+    values = read_settings("--x", [["a-mm=1.5", "b=no"], ["c=3"]], parsers)
+    assert values == {"a_mm": 1.5, "b": False, "c": (3, 3)}
     assert parse_pair(parse_integer)("1280x960") == (1280, 960)
-    for words, why in (
+    for settings, message in (
         (["a_mm=1", "a_mm=2"], "twice"),
         (["a_mm"], "has no value: write a_mm=VALUE"),
         (["a_mm="], "has no value"),
@@ -261,5 +261,5 @@ def test_settings_are_read_by_their_parsers():
         (["a_m=1"], "write a_mm=VALUE"),
         (["upper=u.png"], "the settings are a_mm, b, c; write files before the options"),
     ):
-        with pytest.raises(UsageError, match=why):
-            read_settings("--x", [words], parsers)
+        with pytest.raises(UsageError, match=message):
+            read_settings("--x", [settings], parsers)

@@ -1,4 +1,4 @@
-"""Where results may go: never over what is read or over each other, and known before the work."""
+"""Output paths are checked before the work: no result overwrites an input or another result."""
 
 import dataclasses
 import re
@@ -38,7 +38,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         ((*MATCH, "-o", "left.npz"), "--out is left.npz, which is an input"),
         ((*MATCH, "--report", "./rig.json"), "--report is rig.json, which is an input"),
@@ -51,12 +51,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ((*MATCH, "-o", "x.npz", "--report", "x.pdf"), "a report is HTML"),
     ],
 )
-def test_no_result_goes_over_another_file_of_the_job(folder, arguments, said, capsys):
+def test_no_result_goes_over_another_file_of_the_job(folder, arguments, message, capsys):
     before = {path: path.read_bytes() for path in folder.iterdir()}
     assert main([*arguments, "--quiet"]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1
-    assert re.search(said, err)
+    assert re.search(message, err)
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
@@ -73,7 +73,7 @@ def test_a_link_to_what_is_read_is_what_is_read(folder, capsys):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         ((*MATCH, "-o", "m.csv"), "matches are written as .npz"),
         ((*CALIBRATE, "-o", "rig.npz"), "a rig is written as .json"),
@@ -81,24 +81,24 @@ def test_a_link_to_what_is_read_is_what_is_read(folder, capsys):
         (("refine", "--matches", "none.npz", "--rig", "rig.json", "-o", "r.txt"), "a rig is"),
     ],
 )
-def test_a_name_that_cannot_be_written_is_said_before_the_work(folder, arguments, said, capsys):
+def test_a_name_that_cannot_be_written_is_said_before_the_work(folder, arguments, message, capsys):
     # Before: where files are missing, too, the name comes first; `--dry-run` says it as well.
     dry = ["--dry-run"] if arguments[0] in ("match", "calibrate") else []
     assert main([*arguments, *dry]) == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1
-    assert said in err
+    assert message in err
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("focal_length", "message"),
     [("0.016", "metres: write 16 millimetres"), ("16000", "micrometres: write 16 millimetres")],
 )
-def test_a_focal_length_in_another_unit_is_named(folder, given, said, capsys):
+def test_a_focal_length_in_another_unit_is_named(folder, focal_length, message, capsys):
     arguments = list(CALIBRATE)
-    arguments[arguments.index("16")] = given
+    arguments[arguments.index("16")] = focal_length
     assert main([*arguments, "--quiet"]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_a_drawing_given_for_its_layout_is_not_to_be_corrected(folder, capsys):
@@ -110,8 +110,8 @@ def test_a_drawing_given_for_its_layout_is_not_to_be_corrected(folder, capsys):
 
 def test_depths_that_leave_nothing_are_named():
     matches = bench_matches()
-    words = {view: np.full(len(w), "outside depth") for view, w in matches.reasons.items()}
-    none = dataclasses.replace(matches, stage=np.full(len(matches), "binocular"), reasons=words)
+    reasons = {view: np.full(len(w), "outside depth") for view, w in matches.reasons.items()}
+    none = dataclasses.replace(matches, stage=np.full(len(matches), "binocular"), reasons=reasons)
     assert "Check depth_range_mm" in assess_matches(none).sentence
 
 
@@ -121,22 +121,22 @@ def test_a_file_of_another_kind_is_not_replaced_unless_forced(folder, capsys):
     Path("mine.npz").write_bytes(b"none of ours")
     Path("mine.html").write_text("<p>mine</p>")
     before = {path: path.read_bytes() for path in folder.iterdir()}
-    for place in ("rig.json", "link.json", "mine.json"):
-        assert main(["pattern", "-o", place]) == 1
+    for file_name in ("rig.json", "link.json", "mine.json"):
+        assert main(["pattern", "-o", file_name]) == 1
         assert (
             "which would be overwritten: give another name, or --force" in capsys.readouterr().err
         )
-    for place in ("mine.npz",):
-        assert main([*MATCH, "-o", place]) == 1
+    for file_name in ("mine.npz",):
+        assert main([*MATCH, "-o", file_name]) == 1
         assert "which would be overwritten" in capsys.readouterr().err
     evaluate = ("evaluate", "--matches", "upper.npz", "--truth", "sheet.json")
-    for words in (
+    for arguments in (
         (*MATCH, "-o", "new.npz", "--report", "mine.html"),
         (*evaluate, "-o", "rig.json"),
         ("export", "left.npz", "--to", "json", "-o", "rig.json"),
         ("pattern", "-o", "right.png", "--screen", "size_px=400,300", "pitch_mm=0.3"),
     ):
-        assert main([*words]) == 1, words
+        assert main([*arguments]) == 1, arguments
         assert "which would be overwritten" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
     assert main(["pattern", "-o", "sheet.json"]) == 0

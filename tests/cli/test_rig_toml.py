@@ -38,8 +38,8 @@ def test_a_command_alone_takes_everything_from_the_file(file: Path) -> None:
 
 def test_what_is_typed_counts_more(file: Path) -> None:
     typed = ["calibrate", "a=a.png", "--pattern=p.json", "-o", "x.json", "--lens", "c.json"]
-    own = [*typed, "--sigma", "aim_mm=0"]
-    assert with_file(own, file) == [*own, "--accept-suspect"]
+    with_sigma = [*typed, "--sigma", "aim_mm=0"]
+    assert with_file(with_sigma, file) == [*with_sigma, "--accept-suspect"]
     assert with_file(typed, file)[len(typed) :] == [
         *("--sigma", "lens=0", "print_scale=0.001,0.002", "--accept-suspect"),
     ]
@@ -47,8 +47,8 @@ def test_what_is_typed_counts_more(file: Path) -> None:
 
 
 def test_other_commands_help_and_a_missing_file_change_nothing(file: Path) -> None:
-    for words in (["match", "a=a.png"], ["calibrate", "--help"], []):
-        assert with_file(words, file) == words
+    for arguments in (["match", "a=a.png"], ["calibrate", "--help"], []):
+        assert with_file(arguments, file) == arguments
     assert with_file(["calibrate"], file.parent / "none.toml") == ["calibrate"]
 
 

@@ -30,18 +30,18 @@ def scene(tmp_path, monkeypatch):
 def test_rims_are_added_and_told(scene, capsys):
     options = ["--steps", "rims", "--json", "--quiet"]
     assert main(["match", *scene, "--rig", "rig.json", *options]) == 0
-    told = json.loads(capsys.readouterr().out)
-    (rim,) = told["rims"]["found"]
-    assert told["written"] == ["matches.npz", "matches-rims.npz"]
-    found = trinoc.load("matches-rims.npz")
-    assert found.centre_mm.tolist() == [rim["centre_mm"]]
-    assert found.radius_sigma_mm.tolist() == [rim["radius_sigma_mm"]]
+    record = json.loads(capsys.readouterr().out)
+    (rim,) = record["rims"]["found"]
+    assert record["written"] == ["matches.npz", "matches-rims.npz"]
+    rims = trinoc.load("matches-rims.npz")
+    assert rims.centre_mm.tolist() == [rim["centre_mm"]]
+    assert rims.radius_sigma_mm.tolist() == [rim["radius_sigma_mm"]]
     assert main(["export", "matches-rims.npz", "--to", "obj", "-o", "rims.obj", "--quiet"]) == 0
     assert abs(rim["radius_mm"] - 15.0) < 5 * rim["radius_sigma_mm"] < 1.0
     matches = trinoc.load_matches("matches.npz")
-    added = told["rims"]["counts"]["pieces of rims"]
-    off = np.linalg.norm(matches.lines_mm[-added:] - rim["centre_mm"], axis=2)
-    np.testing.assert_allclose(off, rim["radius_mm"], atol=0.01)
+    added = record["rims"]["counts"]["pieces of rims"]
+    distances_mm = np.linalg.norm(matches.lines_mm[-added:] - rim["centre_mm"], axis=2)
+    np.testing.assert_allclose(distances_mm, rim["radius_mm"], atol=0.01)
 
 
 def test_rims_need_pictures(scene, capsys):

@@ -20,11 +20,11 @@ from trinoc.synth import table1_rig
 VIEWS = ("upper", "left", "right")
 PICTURES = tuple(f"{view}={view}.png" for view in VIEWS)
 RIG = ("--rig", "rig.json", "--quiet")
-NAMES = tuple(f"{view}.{own}" for view in VIEWS for own in ("pan_deg", "distance_mm"))
+NAMES = tuple(f"{view}.{parameter}" for view in VIEWS for parameter in ("pan_deg", "distance_mm"))
 
 
 def bent_rig(*more: str) -> trinoc.Rig:
-    """The paper's cameras with distortion, sure of nothing that stands in `more` either."""
+    """The paper's cameras with distortion. `more` adds parameters to the covariance."""
     names = (*NAMES, *more)
     cameras = {n: Camera(DISTORTED_LENS, camera.pose) for n, camera in table1_rig().items()}
     return trinoc.Rig(cameras, parameters=names, covariance=1e-6 * np.eye(len(names)))
@@ -63,15 +63,15 @@ def test_pictures_of_a_rig_keep_names_depth_and_colours(folder, capsys):
     rig, expected = trinoc.load_rig(out / "rig.json"), trinoc.undistort(bent_rig())
     for view in VIEWS:
         np.testing.assert_allclose(rig[view].matrix_px, expected.rig[view].matrix_px, rtol=1e-9)
-        made, old = read_image(out / f"{view}.png"), read_image(f"{view}.png")
-        assert (made.dtype, made.shape) == (old.dtype, old.shape)
-        np.testing.assert_array_equal(made, expected.maps[view].resample(old))
+        undistorted, distorted = read_image(out / f"{view}.png"), read_image(f"{view}.png")
+        assert (undistorted.dtype, undistorted.shape) == (distorted.dtype, distorted.shape)
+        np.testing.assert_array_equal(undistorted, expected.maps[view].resample(distorted))
         maps = np.load(out / f"{view}-maps.npz")
         by_hand = cv2.remap(
-            *(old, maps["map_x"], maps["map_y"], cv2.INTER_CUBIC),
+            *(distorted, maps["map_x"], maps["map_y"], cv2.INTER_CUBIC),
             borderMode=cv2.BORDER_REPLICATE,
         )
-        np.testing.assert_array_equal(made, by_hand)
+        np.testing.assert_array_equal(undistorted, by_hand)
         assert record["cameras"][view]["picture"] == str(out / f"{view}.png")
         np.testing.assert_allclose(record["cameras"][view]["matrix"], rig[view].intrinsics.matrix)
     assert rig.parameters == NAMES
@@ -86,7 +86,7 @@ def test_names_of_cameras_do_not_leave_the_folder(folder):
     Path("x").mkdir()
     Path("x/upper.png").write_bytes(Path("left.png").read_bytes())
     before = content(folder)
-    words = [
+    arguments = [
         "undistort",
         "../left=upper.png",
         "a/b=x/upper.png",
@@ -94,7 +94,7 @@ def test_names_of_cameras_do_not_leave_the_folder(folder):
         "hostile.json",
         "--quiet",
     ]
-    assert main([*words, "-o", "out"]) == 0
+    assert main([*arguments, "-o", "out"]) == 0
     new = {path.relative_to(folder).as_posix() for path in content(folder).keys() - before.keys()}
     assert new == {
         *(f"out/{name}_upper.png" for name in ("%2E%2E%2Fleft", "a%2Fb")),
@@ -107,11 +107,11 @@ def test_names_of_cameras_do_not_leave_the_folder(folder):
 def test_maps_come_back_from_their_file(tmp_path):
     maps = trinoc.undistort(DISTORTED_LENS, image_size_px=(40, 30)).maps
     trinoc.save(maps, tmp_path / "maps.npz")
-    again = trinoc.load(tmp_path / "maps.npz")
-    assert isinstance(again, PictureMaps)
-    assert again.size_px == maps.size_px
-    np.testing.assert_array_equal(again.map_x, maps.map_x)
-    np.testing.assert_array_equal(again.map_y, maps.map_y)
+    loaded = trinoc.load(tmp_path / "maps.npz")
+    assert isinstance(loaded, PictureMaps)
+    assert loaded.size_px == maps.size_px
+    np.testing.assert_array_equal(loaded.map_x, maps.map_x)
+    np.testing.assert_array_equal(loaded.map_y, maps.map_y)
     for name, wrong in (
         ("map_x", maps.map_x[:3]),
         ("map_y", np.full((30, 40), np.float32(np.nan))),
@@ -125,12 +125,12 @@ def test_maps_come_back_from_their_file(tmp_path):
 
 
 def test_two_are_rectified_and_depth_is_said(folder, capsys):
-    words = ["undistort", "left.png", "right.png", "--rectify", *RIG, "-o", "out"]
-    assert main(words) == 0
-    said = capsys.readouterr().out
-    assert "Depth in mm is" in said
-    assert "(u_left - u_right - (" in said
-    assert main([*words, "--json", "--alpha", "1"]) == 0
+    arguments = ["undistort", "left.png", "right.png", "--rectify", *RIG, "-o", "out"]
+    assert main(arguments) == 0
+    stdout = capsys.readouterr().out
+    assert "Depth in mm is" in stdout
+    assert "(u_left - u_right - (" in stdout
+    assert main([*arguments, "--json", "--alpha", "1"]) == 0
     disparity = json.loads(capsys.readouterr().out)["disparity"]
     rig = trinoc.load_rig("out/rig.json")
     assert rig.names == ("left", "right")
@@ -143,8 +143,8 @@ def test_two_are_rectified_and_depth_is_said(folder, capsys):
 
 def test_sigmas_that_do_not_hold_are_left_out_and_said(folder, capsys):
     trinoc.save(bent_rig("left.fx_px"), "open.json")
-    words = ["undistort", *PICTURES[:2], "--rig", "open.json", "--quiet", "-o", "out"]
-    assert main(words) == 0
+    arguments = ["undistort", *PICTURES[:2], "--rig", "open.json", "--quiet", "-o", "out"]
+    assert main(arguments) == 0
     assert (
         "The new rig has no sigmas: open.json has errors of the lenses" in capsys.readouterr().out
     )
@@ -154,28 +154,37 @@ def test_sigmas_that_do_not_hold_are_left_out_and_said(folder, capsys):
 
 
 def test_pictures_of_one_lens(folder, capsys):
-    words = ["undistort", "left.png", "upper.png", "--lens", "camera.json", "--quiet", "-o", "out"]
-    assert main(words) == 0
+    arguments = [
+        "undistort",
+        "left.png",
+        "upper.png",
+        "--lens",
+        "camera.json",
+        "--quiet",
+        "-o",
+        "out",
+    ]
+    assert main(arguments) == 0
     assert "100.0%" in capsys.readouterr().out
     names = {path.name for path in Path("out").iterdir()}
     assert names == {"left.png", "upper.png", "maps.npz", "camera.json"}
     lens, maps = trinoc.undistort(DISTORTED_LENS)
     np.testing.assert_allclose(trinoc.load("out/camera.json").matrix, lens.matrix)
-    made = maps.resample(read_image("upper.png"))
-    np.testing.assert_array_equal(read_image("out/upper.png"), made)
+    resampled = maps.resample(read_image("upper.png"))
+    np.testing.assert_array_equal(read_image("out/upper.png"), resampled)
 
 
 def test_pictures_of_equal_names_get_those_of_their_cameras(folder):
     for view in ("left", "right"):
         Path(view).mkdir()
         Path(f"{view}.png").rename(f"{view}/0001.png")
-    words = ["undistort", "left=left/0001.png", "right=right/0001.png", *RIG, "-o", "out"]
-    assert main(words) == 0
+    arguments = ["undistort", "left=left/0001.png", "right=right/0001.png", *RIG, "-o", "out"]
+    assert main(arguments) == 0
     assert {path.name for path in Path("out").glob("*.png")} == {"left_0001.png", "right_0001.png"}
 
 
 @pytest.mark.parametrize(
-    ("words", "status", "says"),
+    ("arguments", "status", "message"),
     [
         ((*RIG,), 2, "No picture is given"),
         ((*PICTURES, *RIG, "--alpha", "1.5"), 2, "--alpha is 1.5"),
@@ -205,7 +214,9 @@ def test_pictures_of_equal_names_get_those_of_their_cameras(folder):
         ),
     ],
 )
-def test_what_cannot_be_is_one_sentence_and_writes_nothing(folder, words, status, says, capsys):
+def test_what_cannot_be_is_one_sentence_and_writes_nothing(
+    folder, arguments, status, message, capsys
+):
     trinoc.save(trinoc.Pattern.cross_grid(rows=4, columns=4, pitch_mm=9, radius_mm=3), "sheet.json")
     cv2.imwrite("small.png", np.zeros((40, 60), np.uint8))
     Path("notes.txt").write_text("mine")
@@ -213,21 +224,21 @@ def test_what_cannot_be_is_one_sentence_and_writes_nothing(folder, words, status
         Path(name).parent.mkdir()
         Path(name).write_bytes(b"mine")
     before = content(folder)
-    assert main(["undistort", *words, *([] if "-o" in words else ["-o", "out"])]) == status
+    assert main(["undistort", *arguments, *([] if "-o" in arguments else ["-o", "out"])]) == status
     err = capsys.readouterr().err
-    assert re.search(says, err)
+    assert re.search(message, err)
     assert len([line for line in err.splitlines() if "SUSPECT" not in line]) == 1
     assert content(folder) == before
 
 
 def test_results_of_before_are_replaced_and_others_by_force(folder, capsys):
-    words = ["undistort", *PICTURES, *RIG, "-o", "out"]
-    assert main(words) == 0
+    arguments = ["undistort", *PICTURES, *RIG, "-o", "out"]
+    assert main(arguments) == 0
     first = Path("out/left.png").read_bytes()
-    assert main([*words, "--alpha", "1"]) == 0
+    assert main([*arguments, "--alpha", "1"]) == 0
     assert Path("out/left.png").read_bytes() != first
     Path("full").mkdir()
     Path("full/left.png").write_bytes(b"mine")
-    assert main([*words[:-1], "full"]) == 1
-    assert main([*words[:-1], "full", "--force"]) == 0
+    assert main([*arguments[:-1], "full"]) == 1
+    assert main([*arguments[:-1], "full", "--force"]) == 0
     assert Path("full/left.png").read_bytes() == first

@@ -1,4 +1,4 @@
-"""Names of cameras that are not given: guessed, said, and those of the rig where it has some."""
+"""Camera names that the user omits are guessed and reported, or taken from the rig."""
 
 from pathlib import Path
 
@@ -92,10 +92,10 @@ def test_a_unique_part_of_a_name_finds_its_camera() -> None:
 
 @given(st.lists(st.text("abc/.", min_size=1, max_size=5), min_size=1, max_size=6, unique=True))
 def test_every_camera_is_found_by_its_own_name(names: list[str]) -> None:
-    words = camera_aliases(names)
-    assert {name: words[name] for name in names} == {name: name for name in names}
-    for word, camera in words.items():
-        assert word in camera.split("/")[-1] or word == camera
+    aliases = camera_aliases(names)
+    assert {name: aliases[name] for name in names} == {name: name for name in names}
+    for alias, camera in aliases.items():
+        assert alias in camera.split("/")[-1] or alias == camera
 
 
 def test_a_rig_of_many_cameras_is_named_in_one_short_note(capsys, caplog) -> None:

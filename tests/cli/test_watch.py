@@ -21,12 +21,12 @@ BOARD = Chessboard(rows=5, columns=7, square_mm=20.0)
 
 
 def board_picture(shift_px: tuple[int, int] = (0, 0)) -> np.ndarray:
-    """The board square to the camera, 40 px a square."""
+    """An image of the board facing the camera, with squares of 40 px."""
     picture = np.full((480, 640), 210, dtype=np.uint8)
     squares = np.kron(dark_squares(BOARD.rows + 1, BOARD.columns + 1), np.ones((40, 40)))
-    left, upper = 160 + shift_px[0], 120 + shift_px[1]
-    place = picture[upper : upper + squares.shape[0], left : left + squares.shape[1]]
-    place[squares > 0] = 30
+    left_px, upper_px = 160 + shift_px[0], 120 + shift_px[1]
+    window = picture[upper_px : upper_px + squares.shape[0], left_px : left_px + squares.shape[1]]
+    window[squares > 0] = 30
     return cv2.GaussianBlur(picture, (0, 0), 1.0)
 
 
@@ -55,56 +55,56 @@ def test_pictures_that_are_there_are_judged_once(folder, capsys) -> None:
     assert main(watch(folder, "--once", "--json", "--quiet")) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    found = {each["name"]: each for each in json.loads(out)["pictures"]}
-    assert set(found) == {"a.png", "b.png", "c.png"}
-    assert found["a.png"]["good"]
-    assert found["a.png"]["found"] == found["a.png"]["of"] == len(BOARD)
-    assert not found["b.png"]["good"]
-    assert any("saturated" in fault for fault in found["b.png"]["faults"])
-    assert "not a readable picture" in found["c.png"]["refusal"]
+    records = {each["name"]: each for each in json.loads(out)["pictures"]}
+    assert set(records) == {"a.png", "b.png", "c.png"}
+    assert records["a.png"]["good"]
+    assert records["a.png"]["found"] == records["a.png"]["of"] == len(BOARD)
+    assert not records["b.png"]["good"]
+    assert any("saturated" in fault for fault in records["b.png"]["faults"])
+    assert "not a readable picture" in records["c.png"]["refusal"]
 
 
 def test_a_picture_is_told_once_it_is_whole_and_again_when_it_is_replaced(folder) -> None:
     arrivals = FolderArrivals(folder / "in")
-    place = folder / "in" / "slow.png"
+    path = folder / "in" / "slow.png"
     content = cv2.imencode(".png", board_picture())[1].tobytes()
-    place.write_bytes(content[: len(content) // 2])
+    path.write_bytes(content[: len(content) // 2])
     # It does not change, but has no end.
     assert [arrivals.ready() for _ in range(3)] == [[], [], []]
-    place.write_bytes(content)
+    path.write_bytes(content)
     assert arrivals.ready() == []
-    assert arrivals.ready() == [place]
+    assert arrivals.ready() == [path]
     assert arrivals.ready() == []
-    place.write_bytes(content + b"\0")
-    assert [arrivals.ready(), arrivals.ready()] == [[], [place]]
+    path.write_bytes(content + b"\0")
+    assert [arrivals.ready(), arrivals.ready()] == [[], [path]]
     # What never gets its end is told in the end, as broken.
-    place.write_bytes(content[:-20])
-    assert [place] in [arrivals.ready() for _ in range(PATIENCE + 1)]
+    path.write_bytes(content[:-20])
+    assert [path] in [arrivals.ready() for _ in range(PATIENCE + 1)]
 
 
 def test_ctrl_c_ends_with_the_summary_and_the_page_was_there(folder, capsys, monkeypatch) -> None:
     cv2.imwrite(str(folder / "in" / "a.png"), board_picture())
-    seen: list[tuple[int, str]] = []
+    answers: list[tuple[int, str]] = []
 
     def sleep(_: float) -> None:
-        said = capsys.readouterr()
-        if "http" in said.err:
-            sleep.url = re.search(r"http://\S+", said.err)[0]  # pyright: ignore
-        if "a.png" in said.out:
-            seen.extend([ask(sleep.url), ask(sleep.url, "/0.jpg"), ask(sleep.url, "/a.png")])  # pyright: ignore
+        output = capsys.readouterr()
+        if "http" in output.err:
+            sleep.url = re.search(r"http://\S+", output.err)[0]  # pyright: ignore
+        if "a.png" in output.out:
+            answers.extend([ask(sleep.url), ask(sleep.url, "/0.jpg"), ask(sleep.url, "/a.png")])  # pyright: ignore
             raise KeyboardInterrupt
 
     monkeypatch.setattr("time.sleep", sleep)
     assert main(watch(folder)) == 0
-    assert [status for status, _ in seen] == [200, 200, 404]
-    assert "a.png" in seen[0][1]
+    assert [status for status, _ in answers] == [200, 200, 404]
+    assert "a.png" in answers[0][1]
     out = capsys.readouterr().out
     assert "1 pictures: 1 good" in out
     assert "Move the board" in out
 
 
 class _Camera:
-    """Three pictures, of which the second is as the first, and then none."""
+    """A camera that sends three pictures, of which the second equals the first, and then stops."""
 
     pictures = (board_picture(), board_picture(), board_picture((60, 40)))
 
@@ -134,15 +134,15 @@ def test_of_a_camera_pictures_that_show_something_new_are_kept(folder, capsys, m
     out, err = capsys.readouterr()
     assert "stopped sending pictures" in err
     assert "picture 3: good" in out
-    kept = sorted(keep.iterdir())
-    assert [path.name for path in kept] == ["shot_0001.png", "shot_0002.png"]
-    np.testing.assert_array_equal(cv2.imread(str(kept[0]), 0), _Camera.pictures[0])
+    saved = sorted(keep.iterdir())
+    assert [path.name for path in saved] == ["shot_0001.png", "shot_0002.png"]
+    np.testing.assert_array_equal(cv2.imread(str(saved[0]), 0), _Camera.pictures[0])
     assert main(("watch", "3", "--pattern", board)) == 1
     assert "Camera 3 does not open" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (("watch", "in", "--every-s", "0"), "--every-s is 0"),
         (("watch", "in", "--keep", "k"), "--keep is an option for cameras"),
@@ -151,16 +151,16 @@ def test_of_a_camera_pictures_that_show_something_new_are_kept(folder, capsys, m
         (("watch", "0", "--once"), "--once is an option for folders"),
     ],
 )
-def test_options_that_do_not_go_together_are_named(options, said, capsys) -> None:
+def test_options_that_do_not_go_together_are_named(options, message, capsys) -> None:
     pattern = ("--pattern", "none.json") if options[0] == "watch" else ()
     assert main((*options, *pattern)) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_a_folder_that_is_none_is_named(folder, capsys) -> None:
     command = ("watch", str(folder / "no"), "--pattern", str(folder / "board.json"))
     for options in ((), ("--once",)):
         assert main((*command, *options)) == 1
-        said = capsys.readouterr().err
-        assert "is not a folder" in said
-        assert "http" not in said
+        stderr = capsys.readouterr().err
+        assert "is not a folder" in stderr
+        assert "http" not in stderr

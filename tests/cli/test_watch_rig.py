@@ -34,7 +34,7 @@ HELD = (
     ((120.0, 40.0, 360.0), (25.0, -20.0, 10.0)),
     ((70.0, 40.0, 340.0), (-25.0, 25.0, 0.0)),
 )
-POSES = [hold_board(*held) for held in HELD]
+POSES = [hold_board(*placement) for placement in HELD]
 
 
 @pytest.fixture
@@ -45,9 +45,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @functools.cache
-def picture_of(camera: str, held: int, seed: int) -> np.ndarray:
-    """What a camera sees of the board held in one of POSES."""
-    return board_picture(camera, [POSES[held]], seed)
+def picture_of(camera: str, pose_number: int, seed: int) -> np.ndarray:
+    """The image in which a camera sees the board in one of POSES."""
+    return board_picture(camera, [POSES[pose_number]], seed)
 
 
 def write_video(file: str, frames: list[np.ndarray], frames_per_s: float) -> None:
@@ -67,7 +67,7 @@ SMEAR_MM = 8.0
 
 @functools.cache
 def waved_frames(camera: str) -> list[np.ndarray]:
-    """A board that comes to rest once a second: two of three frames are taken while it moves."""
+    """Frames of a board that rests once a second. It moves in two of three frames."""
     frames = []
     for second, pose in enumerate(POSES):
         moved = [
@@ -80,7 +80,7 @@ def waved_frames(camera: str) -> list[np.ndarray]:
 
 
 def true_rig(first: np.ndarray) -> Rig:
-    """The world is the board in the first shot."""
+    """The true rig, with the board of the first shot as the world."""
     motion = np.vstack([first, [0.0, 0.0, 0.0, 1.0]])
     return Rig.from_matrices(
         {name: matrix(name) @ motion for name in CAMERAS}, image_size_px=SIZE_PX
@@ -89,7 +89,7 @@ def true_rig(first: np.ndarray) -> Rig:
 
 @pytest.fixture
 def waved(folder: Path) -> tuple[str, ...]:
-    """The videos of a board that is waved, as they are typed."""
+    """The command line arguments of the videos of a waved board."""
     for name in CAMERAS:
         write_video(f"{name}.avi", waved_frames(name), 3.0)
     return tuple(f"{name}={name}.avi" for name in CAMERAS)
@@ -97,29 +97,31 @@ def waved(folder: Path) -> tuple[str, ...]:
 
 def test_of_a_waved_board_the_frames_at_rest_are_kept(waved, folder, capsys) -> None:
     assert watch(*waved, "--keep", "kept", "--json", "--quiet") == 0
-    found = json.loads(capsys.readouterr().out)
+    record = json.loads(capsys.readouterr().out)
     # At rest is the frame of number second % 3 in each second.
     at_rest = [f"{second + (second % 3) / 3:.2f} s" for second in range(len(POSES))]
-    assert [shot["name"] for shot in found["shots"]] == at_rest
+    assert [shot["name"] for shot in record["shots"]] == at_rest
     names = [f"shot_{k:04d}" for k in range(1, 1 + len(POSES))]
-    assert [shot["kept"] for shot in found["shots"]] == names
-    kept = load_shots({name: folder / "kept" / name for name in CAMERAS})
-    assert {name: list(own) for name, own in kept.items()} == dict.fromkeys(CAMERAS, names)
+    assert [shot["kept"] for shot in record["shots"]] == names
+    shots = load_shots({name: folder / "kept" / name for name in CAMERAS})
+    assert {name: list(camera_shots) for name, camera_shots in shots.items()} == dict.fromkeys(
+        CAMERAS, names
+    )
     capture = cv2.VideoCapture("right.avi")
     frames = [capture.read()[1] for _ in range(3 * len(POSES))]
     for second, name in enumerate(names):
         frame = frames[3 * second + second % 3]
-        np.testing.assert_array_equal(kept["right"][name](), frame[..., 0])
+        np.testing.assert_array_equal(shots["right"][name](), frame[..., 0])
 
 
 @pytest.mark.slow
 def test_a_waved_board_gives_the_rig(waved, folder, capsys) -> None:
     assert watch(*waved, "-o", "rig.json", "--report", "report.html", "--json", "--quiet") == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["written"] == ["rig_shots", "rig.json", "report.html"]
+    record = json.loads(capsys.readouterr().out)
+    assert record["written"] == ["rig_shots", "rig.json", "report.html"]
     assert "shots" in (folder / "report.html").read_text()
-    parameters = found["calibration"]["parameters"]
-    assert found["calibration"]["world"] == "the board in shot_0001"
+    parameters = record["calibration"]["parameters"]
+    assert record["calibration"]["world"] == "the board in shot_0001"
     truth = true_rig(POSES[0])
     for name in CAMERAS:
         camera = truth[name]
@@ -134,38 +136,43 @@ def test_a_waved_board_gives_the_rig(waved, folder, capsys) -> None:
             "distance_mm": camera.distance_mm,
         }
         for key, value in exact.items():
-            one = parameters[f"{name}.{key}"]
-            assert abs(one["value"] - value) < 4.0 * one["sigma"], (name, key, one, value)
-            assert one["sigma"] < 0.02 * max(abs(value), 100.0)
+            estimate = parameters[f"{name}.{key}"]
+            assert abs(estimate["value"] - value) < 4.0 * estimate["sigma"], (
+                name,
+                key,
+                estimate,
+                value,
+            )
+            assert estimate["sigma"] < 0.02 * max(abs(value), 100.0)
 
 
 class MadeCameras:
     """Two cameras that show a board in some of POSES, one after the other, until it is stopped."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, held: Sequence[int]) -> None:
-        self.held, self.opened = held, []
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, pose_numbers: Sequence[int]) -> None:
+        self.pose_numbers, self.opened = pose_numbers, []
         monkeypatch.setattr(cv2, "VideoCapture", self.open)
 
     def open(self, number: int) -> "MadeCamera":
         self.opened.append(number)
-        return MadeCamera(CAMERAS[number], self.held)
+        return MadeCamera(CAMERAS[number], self.pose_numbers)
 
 
 class MadeCamera:
-    def __init__(self, name: str, held: Sequence[int]) -> None:
-        self.name, self.held, self.count = name, held, -1
+    def __init__(self, name: str, pose_numbers: Sequence[int]) -> None:
+        self.name, self.pose_numbers, self.count = name, pose_numbers, -1
 
     def isOpened(self) -> bool:
         return True
 
     def grab(self) -> bool:
         self.count += 1
-        if self.count == len(self.held):
+        if self.count == len(self.pose_numbers):
             raise KeyboardInterrupt
         return True
 
     def retrieve(self) -> tuple[bool, np.ndarray]:
-        return True, picture_of(self.name, self.held[self.count], self.count)
+        return True, picture_of(self.name, self.pose_numbers[self.count], self.count)
 
     def release(self) -> None:
         self.name = ""
@@ -187,16 +194,16 @@ def test_too_few_shots_are_kept_and_gone_on_with(folder, capsys, monkeypatch) ->
     assert "continue that run with --keep rig_shots" in capsys.readouterr().err
     # What it says to type.
     MadeCameras(monkeypatch, range(1, 3))
-    again = shlex.split(err.partition("To continue, run: ")[2])
-    assert again[:2] == ["trinoc", "watch"]
+    advised = shlex.split(err.partition("To continue, run: ")[2])
+    assert advised[:2] == ["trinoc", "watch"]
     calibrated = []
 
-    def calibrate(places: dict[str, Path], *_: object) -> None:
-        calibrated.append(places)
+    def calibrate(folder_by_camera: dict[str, Path], *_: object) -> None:
+        calibrated.append(folder_by_camera)
         raise KeyboardInterrupt
 
     monkeypatch.setattr("trinoc.cli.watch.calibrate_shots", calibrate)
-    assert main(again[1:]) == 130
+    assert main(advised[1:]) == 130
     out, err = capsys.readouterr()
     assert "shot_0001: kept as shot_0001" in out
     assert "picture 1: nothing new" in out
@@ -232,19 +239,19 @@ def folders(folder: Path) -> Path:
 
 def test_files_of_folders_are_paired_by_their_names(folders, capsys) -> None:
     assert watch("left=left", "right=right", "--once", "--keep", "kept", "--json", "--quiet") == 0
-    found = json.loads(capsys.readouterr().out)
-    seen = {shot["name"]: tuple(shot["cameras"]) for shot in found["shots"]}
-    assert seen == {"00": CAMERAS, "01": CAMERAS, "02": ("left",)}
+    record = json.loads(capsys.readouterr().out)
+    cameras = {shot["name"]: tuple(shot["cameras"]) for shot in record["shots"]}
+    assert cameras == {"00": CAMERAS, "01": CAMERAS, "02": ("left",)}
     assert {path.name for path in (folders / "kept" / "left").iterdir()} == {
         f"shot_{k:04d}.png" for k in (1, 2, 3)
     }
     first = cv2.imread(str(folders / "kept" / "right" / "shot_0001.png"), cv2.IMREAD_GRAYSCALE)
     np.testing.assert_array_equal(first, picture_of("right", 0, 0))
-    assert found["next"] == "Hold the board where left sees it together with right."
+    assert record["next"] == "Hold the board where left sees it together with right."
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (("left=0", "right=left"), "cannot be combined"),
         (("left=0", "right=0"), "the same source"),
@@ -261,18 +268,20 @@ def test_files_of_folders_are_paired_by_their_names(folders, capsys) -> None:
         ((), "No source is given"),
     ],
 )
-def test_what_cannot_be_watched_is_said_before_anything_is(options, said, folders, capsys) -> None:
+def test_what_cannot_be_watched_is_said_before_anything_is(
+    options, message, folders, capsys
+) -> None:
     assert watch(*options) in (1, 2)
     out, err = capsys.readouterr()
     assert out == ""
-    assert said in err
+    assert message in err
     assert not (folders / "kept").exists()
 
 
 def test_videos_have_to_be_in_step(folder, capsys) -> None:
-    still = picture_of("left", 0, 0)
+    image = picture_of("left", 0, 0)
     for name, count, rate in (("a", 2, 3.0), ("b", 2, 4.0), ("c", 5, 3.0)):
-        write_video(f"{name}.avi", count * [still], rate)
+        write_video(f"{name}.avi", count * [image], rate)
     assert watch("left=a.avi", "right=b.avi") == 1
     assert "3 frames a second and b.avi 4" in capsys.readouterr().err
     assert watch("left=a.avi", "right=c.avi") == 0

@@ -7,7 +7,7 @@ from trinoc.match import Rims
 
 
 def made_rims() -> Rims:
-    """One flat, one tilted, beside tracks of which one was dropped."""
+    """One flat rim and one tilted rim, with tracks of which one was dropped."""
     matches = bench_matches()
     root = np.random.default_rng(5).normal(size=(2, 7, 7))
     return Rims(

@@ -1,4 +1,4 @@
-"""A wire frame of two faces, a free end and something let go, without any matching."""
+"""A wireframe of two faces, a free end and a dropped part, made without matching."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from trinoc.match.wire_frame.frame import LetGo
 
 
 def made_wireframe() -> Wireframe:
-    """A square and a triangle on one of its sides, and an edge apart."""
+    """A square, a triangle on one of its sides, and a separate edge."""
     random = np.random.default_rng(11)
     vertices = np.array(
         [

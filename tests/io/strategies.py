@@ -42,16 +42,16 @@ def lenses(draw: st.DrawFn) -> Intrinsics:
 
 
 def without_fold(lens: Intrinsics) -> Intrinsics:
-    """The lens, its distortion made smaller until no corner lies beyond a fold."""
+    """The lens with its distortion reduced until every corner lies inside the fold radius."""
     reach_px = sum(lens.image_size_px) + np.abs(lens.principal_point_px).sum()
     while lens.valid_radius_px < reach_px:
         smaller = lens.lens.coefficients / 8
-        lens = eqx.tree_at(lambda whole: whole.lens.coefficients, lens, smaller)
+        lens = eqx.tree_at(lambda intrinsics: intrinsics.lens.coefficients, lens, smaller)
     return lens
 
 
 def are_apart(cameras: Mapping[str, Camera]) -> bool:
-    """Whether no two cameras stand at one place, as readers expect."""
+    """Return True if no two cameras have the same position, as readers require."""
     centres = [np.asarray(camera.centre_world_mm) for camera in cameras.values()]
     return all(
         np.linalg.norm(a - b) > 1e-3 * max(np.linalg.norm(a), np.linalg.norm(b))
@@ -73,7 +73,7 @@ def rigs(draw: st.DrawFn) -> Rig:
     members = {name: draw(cameras(draw(lenses()))) for name in names}
     assume(are_apart(members))
     count = draw(st.sampled_from([0, 4, 6]))
-    parameters = [f"{name}.{own}" for name in names for own in PARAMETER_NAMES[:count]]
+    parameters = [f"{name}.{parameter}" for name in names for parameter in PARAMETER_NAMES[:count]]
     if len(set(parameters)) == 0:
         return Rig(members)
     random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
@@ -127,7 +127,7 @@ def match_sets(draw: st.DrawFn) -> Matches:
     index[:, :2] = np.abs(index[:, :2])
     root = random.normal(size=(tracks, 6, 6))
     root_px = random.normal(size=(tracks, sides, 4, 4))
-    words = st.sampled_from(["matched", "no partner", "é"])
+    reasons = st.sampled_from(["matched", "no partner", "é"])
     fragments = random.uniform(0, 500, (tracks, sides, 2, 2))
     fragments[index < 0] = np.nan
     views = tuple(["upper", "left", "right", "fourth"][:sides])
@@ -141,7 +141,7 @@ def match_sets(draw: st.DrawFn) -> Matches:
         posterior=random.uniform(size=tracks),
         rival_posterior=random.uniform(size=tracks),
         reasons={
-            view: np.array(draw(st.lists(words, min_size=9, max_size=12)), str) for view in views
+            view: np.array(draw(st.lists(reasons, min_size=9, max_size=12)), str) for view in views
         },
         counts={"candidates": 12, "rejected by neighbours": 3},
         fragments_covariance_px2=draw(st.sampled_from([None, root_px @ root_px.swapaxes(2, 3)])),

@@ -85,8 +85,8 @@ def test_what_a_killed_program_left_is_swept_and_nothing_else(tmp_path):
         os.utime(tmp_path / name, (old, old))
     (tmp_path / ".a.txt.11112222.tmp").write_text("another program is writing this")
     write_text(tmp_path / "a.txt", "whole")
-    left = {path.name for path in tmp_path.iterdir()}
-    assert left == {"a.txt", ".a.txt.11112222.tmp", *names[1:]}
+    remaining = {path.name for path in tmp_path.iterdir()}
+    assert remaining == {"a.txt", ".a.txt.11112222.tmp", *names[1:]}
 
 
 @pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")

@@ -28,17 +28,17 @@ BOARDS = [
 @pytest.mark.parametrize("board", BOARDS, ids=lambda board: board.name)
 def test_a_board_comes_back(board, tmp_path):
     save(board, tmp_path / "board.json")
-    again = load_target(tmp_path / "board.json")
-    assert type(again) is type(board)
-    assert again.name == board.name
-    np.testing.assert_array_equal(again.centres_mm, board.centres_mm)
+    loaded = load_target(tmp_path / "board.json")
+    assert type(loaded) is type(board)
+    assert loaded.name == board.name
+    np.testing.assert_array_equal(loaded.centres_mm, board.centres_mm)
     if isinstance(board, Charuco):
-        assert isinstance(again, Charuco)
-        assert (again.dictionary, again.legacy) == (board.dictionary, True)
-        assert again == board
+        assert isinstance(loaded, Charuco)
+        assert (loaded.dictionary, loaded.legacy) == (board.dictionary, True)
+        assert loaded == board
     if isinstance(board, AprilGrid):
-        assert isinstance(again, AprilGrid)
-        assert (again.border, again.first) == (1, 5)
+        assert isinstance(loaded, AprilGrid)
+        assert (loaded.border, loaded.first) == (1, 5)
 
 
 def test_a_layout_of_an_earlier_version_is_the_plain_print(tmp_path):
@@ -52,7 +52,7 @@ def test_a_layout_of_an_earlier_version_is_the_plain_print(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "message"),
     [
         ('"inner_rows": 5', '"inner_rows": 5.5', "whole number"),
         ('"inner_rows": 5', '"inner_rows": 1', "too small"),
@@ -60,12 +60,12 @@ def test_a_layout_of_an_earlier_version_is_the_plain_print(tmp_path):
         ('"square_mm": 10.5', '"square_mm": "big"', "square_mm"),
     ],
 )
-def test_a_spoilt_layout_is_refused_with_its_file(old, new, says, tmp_path):
+def test_a_spoilt_layout_is_refused_with_its_file(old, new, message, tmp_path):
     save(BOARDS[0], tmp_path / "board.json")
     text = (tmp_path / "board.json").read_text()
     assert old in text
     (tmp_path / "board.json").write_text(text.replace(old, new))
-    with pytest.raises(InputError, match=says) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         load_target(tmp_path / "board.json")
     assert "board.json" in str(caught.value)
 
@@ -97,20 +97,20 @@ def write_pictures(folder, *names):
 def test_pictures_of_equal_names_are_of_one_shot(tmp_path):
     write_pictures(tmp_path / "a", "one.png", "two.png")
     write_pictures(tmp_path / "b", "two.png", "three.png")
-    found = load_shots({"a": tmp_path / "a", "b": tmp_path / "b"})
-    assert {name: list(own) for name, own in found.items()} == {
+    shots = load_shots({"a": tmp_path / "a", "b": tmp_path / "b"})
+    assert {name: list(camera_shots) for name, camera_shots in shots.items()} == {
         "a": ["one", "two"],
         "b": ["three", "two"],
     }
-    assert found["a"]["one"]().shape[:2] == (20, 30)
+    assert shots["a"]["one"]().shape[:2] == (20, 30)
 
 
 def test_what_all_names_of_a_camera_have_in_common_is_no_part_of_the_shot(tmp_path):
     write_pictures(tmp_path / "s", *(f"left_{k:02d}_raw.png" for k in (9, 10, 11)))
     write_pictures(tmp_path / "s", *(f"right{k:02d}.png" for k in (10, 11)))
-    found = load_shots({"l": f"{tmp_path}/s/left*.png", "r": f"{tmp_path}/s/right*.png"})
-    assert list(found["l"]) == ["09", "10", "11"]
-    assert list(found["r"]) == ["10", "11"]
+    shots = load_shots({"l": f"{tmp_path}/s/left*.png", "r": f"{tmp_path}/s/right*.png"})
+    assert list(shots["l"]) == ["09", "10", "11"]
+    assert list(shots["r"]) == ["10", "11"]
 
 
 def test_places_without_pictures_and_pictures_of_two_cameras_are_refused(tmp_path):

@@ -30,7 +30,7 @@ ENDINGS = (".npz", ".parquet") if importlib.util.find_spec("pyarrow") else (".np
 
 
 def check_files(names: tuple[str, ...], folder: Path) -> None:
-    """Every file of trinoc gives the names back."""
+    """Assert that every file format of trinoc returns the camera names unchanged."""
     rig, matches = rig_with(names), matches_with(names)
     trinoc.save(rig, folder / "rig.json", overwrite=True)
     assert trinoc.load_rig(folder / "rig.json") == rig
@@ -39,9 +39,9 @@ def check_files(names: tuple[str, ...], folder: Path) -> None:
     results = [FrameMatches("0", "ok", matches), FrameMatches("1", "no picture", None)]
     for ending in ENDINGS:
         save_frames(results, names, folder / f"frames{ending}")
-        again = load_frames(folder / f"frames{ending}")
-        assert again[0].matches == matches
-        assert [each.name for each in again] == ["0", "1"]
+        loaded = load_frames(folder / f"frames{ending}")
+        assert loaded[0].matches == matches
+        assert [frame.name for frame in loaded] == ["0", "1"]
 
 
 PRINTABLE = st.text(st.characters(exclude_categories=["C", "Z"], include_characters=" "))

@@ -141,9 +141,9 @@ def test_a_program_comes_back_whole_or_not_at_all(tmp_path):
     store.put("a", b"program")
     assert FolderStore(tmp_path).get("a") == b"program"
     assert store.get("b") is None
-    (place,) = tmp_path.iterdir()
-    for damage in (b"", b"short", place.read_bytes()[:-1], place.read_bytes() + b"x"):
-        place.write_bytes(damage)
+    (file,) = tmp_path.iterdir()
+    for damage in (b"", b"short", file.read_bytes()[:-1], file.read_bytes() + b"x"):
+        file.write_bytes(damage)
         assert store.get("a") is None
 
 
@@ -244,8 +244,10 @@ def test_a_command_says_once_that_it_compiles_and_nothing_where_it_is_quiet(
 
 
 def test_what_compiles_for_long_is_told_again(monkeypatch) -> None:
-    told = []
-    monkeypatch.setattr(compile_notice, "_notices", [lambda kept, seconds: told.append(seconds)])
+    notices = []
+    monkeypatch.setattr(
+        compile_notice, "_notices", [lambda is_cached, seconds: notices.append(seconds)]
+    )
     monkeypatch.setattr(compile_notice, "_seconds", [0.0])
     monkeypatch.setattr(compile_notice, "_next_at", [0.0])
     moments = iter([0.0, 20.0, 20.0, 45.0, 45.0, 50.0, 50.0, 80.0])
@@ -253,4 +255,4 @@ def test_what_compiles_for_long_is_told_again(monkeypatch) -> None:
     for _ in range(4):
         with compile_notice.compiling():
             pass
-    assert told == [0.0, 45.0]
+    assert notices == [0.0, 45.0]

@@ -48,7 +48,7 @@ NOT_JSON = ["NaN", "Infinity", "1" * 5000, "[" * 70 + "]" * 70, "[" * 100_000, '
 
 
 def sentence_or_value(load, path):
-    """Load a file; whatever is refused is refused in one line that names the file."""
+    """Load a file. An error must be one line that names the file."""
     try:
         return load(path)
     except InputError as error:
@@ -63,16 +63,16 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("damaged")
 
 
-def places(value, path=()):
-    """Every place in a JSON value, as keys from the outside in."""
+def key_paths(value, path=()):
+    """Yield the key path of every node in a JSON value, from the outside in."""
     yield path
     if isinstance(value, dict | list):
         for key, item in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from places(item, (*path, key))
+            yield from key_paths(item, (*path, key))
 
 
 def put(value, path, new):
-    """The value with another one at a place."""
+    """A copy of the JSON value with the node at a key path replaced."""
     if not path:
         return new
     copy = dict(value) if isinstance(value, dict) else list(value)
@@ -102,9 +102,9 @@ def documents(folder):
 @given(data=st.data(), kind=st.sampled_from(["rig", "camera", "pattern"]))
 def test_json_with_another_value_somewhere(folder, documents, data, kind):
     document, load = documents[kind]
-    place = data.draw(st.sampled_from(list(places(document))))
+    keys = data.draw(st.sampled_from(list(key_paths(document))))
     path = folder / "damaged.json"
-    path.write_text(json.dumps(put(document, place, data.draw(ODD))))
+    path.write_text(json.dumps(put(document, keys, data.draw(ODD))))
     for reader in (load, trinoc.load, load_shape, load_rig_status):
         sentence_or_value(reader, path)
 
@@ -167,12 +167,12 @@ def archives(folder):
     shown = np.where(hidden, np.nan, matches.fragments_px)
     matches = dataclasses.replace(matches, fragments_px=shown)
     trinoc.save(matches, folder / "matches.npz")
-    found = {}
+    archives_by_kind = {}
     for kind, load in (("segments", trinoc.load_segments), ("matches", trinoc.load_matches)):
         assert len(load(folder / f"{kind}.npz")) > 0
         with np.load(folder / f"{kind}.npz") as file:
-            found[kind] = dict(file), load
-    return found
+            archives_by_kind[kind] = dict(file), load
+    return archives_by_kind
 
 
 DAMAGE = [
@@ -216,10 +216,10 @@ def test_npz_with_another_array(folder, archives, kind, damage):
 @given(data=st.data(), kind=st.sampled_from(["segments", "matches"]))
 def test_npz_with_other_bytes(folder, archives, data, kind):
     content = (folder / f"{kind}.npz").read_bytes()
-    at = data.draw(st.integers(0, len(content) - 1))
+    offset = data.draw(st.integers(0, len(content) - 1))
     path = folder / "damaged.npz"
     new = data.draw(st.binary(min_size=1, max_size=4))
-    for damaged in (content[:at], content[:at] + new + content[at + len(new) :]):
+    for damaged in (content[:offset], content[:offset] + new + content[offset + len(new) :]):
         path.write_bytes(damaged)
         sentence_or_value(archives[kind][1], path)
         sentence_or_value(trinoc.load, path)
@@ -235,7 +235,7 @@ def test_npy_with_any_header(folder, header, rest, version):
 
 
 @pytest.mark.parametrize(
-    ("field", "damage", "said"),
+    ("field", "damage", "message"),
     [
         ("index", lambda a: a + 1000, '"index" of row 0 names a segment that is not there'),
         ("covariance_mm2", lambda a: -a, '"covariance_mm2" of row 0 is no covariance'),
@@ -246,13 +246,13 @@ def test_npy_with_any_header(folder, header, rest, version):
         ("views", lambda a: a[[0, 0, 2]], "two or more different"),
     ],
 )
-def test_what_no_matching_gives_is_named_by_field_and_row(folder, archives, field, damage, said):
+def test_what_no_matching_gives_is_named_by_field_and_row(folder, archives, field, damage, message):
     arrays, load = archives["matches"]
     path = folder / "wrong.npz"
     np.savez(path, **{**arrays, field: damage(arrays[field])})
     with pytest.raises(InputError, match=r"wrong\.npz") as caught:
         load(path)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_an_archive_that_announces_or_unpacks_to_gigabytes_takes_no_memory(folder):
@@ -282,7 +282,7 @@ def test_tables_of_any_text(folder, text):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("a,b,c,d\n", "line 1, names the columns a, b, c, d, which do not give the ends"),
         ("1,5;2,5;3,5;4,5\n", "line 1, has numbers with a decimal comma"),
@@ -291,10 +291,10 @@ def test_tables_of_any_text(folder, text):
         ("-1e9,5,1e9,5\n", "outside any picture"),
     ],
 )
-def test_words_and_decimal_commas_are_named(folder, text, said):
+def test_words_and_decimal_commas_are_named(folder, text, message):
     path = folder / "words.csv"
     path.write_text(text)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         trinoc.load_segments(path)
 
 
@@ -313,20 +313,20 @@ def test_pictures_with_other_bytes(folder, pictures, data, kind):
     path = folder / f"damaged.{kind}"
     path.write_bytes(content)
     assert read_image(path).shape[:2] == (20, 30)
-    at = data.draw(st.integers(0, min(len(content), 200) - 1))
+    offset = data.draw(st.integers(0, min(len(content), 200) - 1))
     new = data.draw(st.binary(min_size=1, max_size=4))
-    for damaged in (content[:at], content[:at] + new + content[at + len(new) :]):
+    for damaged in (content[:offset], content[:offset] + new + content[offset + len(new) :]):
         path.write_bytes(damaged)
         sentence_or_value(read_image, path)
 
 
 @pytest.mark.parametrize(
-    ("at", "announced"), [(16, 14_000), (33, 0xFFFFFFF0)], ids=["size", "chunk"]
+    ("offset", "announced"), [(16, 14_000), (33, 0xFFFFFFF0)], ids=["size", "chunk"]
 )
-def test_a_picture_that_announces_more_than_it_holds_takes_no_memory(folder, at, announced):
-    whole = cv2.imencode(".png", np.zeros((14_000, 64), np.uint8))[1].tobytes()
+def test_a_picture_that_announces_more_than_it_holds_takes_no_memory(folder, offset, announced):
+    content = cv2.imencode(".png", np.zeros((14_000, 64), np.uint8))[1].tobytes()
     file = folder / "short.png"
-    file.write_bytes(whole[:at] + struct.pack(">I", announced) + whole[at + 4 :])
+    file.write_bytes(content[:offset] + struct.pack(">I", announced) + content[offset + 4 :])
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(InputError, match="is incomplete or states a wrong size"):
         read_image(file)
@@ -358,7 +358,7 @@ def test_cameras_that_cannot_be_are_refused(folder, documents, damage):
     document = json.loads(json.dumps(documents["rig"][0]))
     upper = document["cameras"]["upper"]
     lens = upper["intrinsics"]
-    said = {"micrometres": "micrometres: write 0.01", "fold": "folds the image"}
+    messages = {"micrometres": "micrometres: write 0.01", "fold": "folds the image"}
     match damage:
         case "fold":
             distortion = {"model": "brown_conrady", "coefficients": [-50, 0, 0, 0, 0]}
@@ -371,8 +371,8 @@ def test_cameras_that_cannot_be_are_refused(folder, documents, damage):
             lens["pixel_pitch_mm"] = [16.2, 13.4]
         case _:
             document["cameras"]["left"] = {k: v for k, v in upper.items() if k != "sigma"}
-            said = {damage: "have the same position"}
+            messages = {damage: "have the same position"}
     path = folder / "impossible.json"
     path.write_text(json.dumps(document))
-    with pytest.raises(InputError, match=said.get(damage, "focal.length")):
+    with pytest.raises(InputError, match=messages.get(damage, "focal.length")):
         trinoc.load_rig(path)

@@ -1,4 +1,4 @@
-"""Every writer keeps a name, whatever its letters, or refuses it before it writes anything."""
+"""Every writer keeps a name with any characters, or refuses it before it writes a file."""
 
 import dataclasses
 import importlib.util
@@ -110,7 +110,7 @@ def writer_of_format(name: str, ending: str) -> Writer:
     target = FORMATS[name]
 
     def load(path: Path, rig: Rig) -> Rig:
-        lenses = {own: camera.intrinsics for own, camera in rig.items()}
+        lenses = {camera_name: camera.intrinsics for camera_name, camera in rig.items()}
         return target.load(
             path,
             lenses=lenses if LENSES in target.loses else None,
@@ -120,8 +120,10 @@ def writer_of_format(name: str, ending: str) -> Writer:
     def is_same(read: Rig, rig: Rig) -> bool:
         points = in_frame_of(rig.cameras[0]) if WORLD in target.loses else CORNERS
         return set(read.names) == set(rig.names) and all(
-            np.allclose(PIXELS(read[own], points), PIXELS(camera, CORNERS), rtol=0, atol=1e-9)
-            for own, camera in rig.items()
+            np.allclose(
+                PIXELS(read[camera_name], points), PIXELS(camera, CORNERS), rtol=0, atol=1e-9
+            )
+            for camera_name, camera in rig.items()
         )
 
     return Writer(rig_with, ending, lambda rig, path: target.save(rig, path), load, is_same)
@@ -339,9 +341,9 @@ def test_a_value_that_no_reader_takes_is_not_written(value: object, tmp_path: Pa
     if isinstance(value, Rig):
         for name, target in FORMATS.items():
             if "rig" in target.holds and "covariance" not in target.loses:
-                place = tmp_path / f"{name}{target.endings[0]}"
+                path = tmp_path / f"{name}{target.endings[0]}"
                 with pytest.raises(InputError):
-                    target.save(value, place)
+                    target.save(value, path)
     assert not list(tmp_path.iterdir())
 
 

@@ -36,14 +36,14 @@ def test_colours_come_as_red_green_blue_without_transparency(tmp_path):
 
 def test_what_is_no_picture_is_refused(tmp_path, capfd):
     cut = cv2.imencode(".png", GREY)[1].tobytes()[:40]
-    for name, content, said in [
+    for name, content, message in [
         ("empty.png", b"", "is empty: copy"),
         ("text.png", b"hello", "is not a readable picture"),
         ("cut.png", cut, "is a PNG file that is incomplete"),
         ("left.mp4", b"hello", "is a video: write its frames"),
     ]:
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(InputError, match=f"{name} {said}"):
+        with pytest.raises(InputError, match=f"{name} {message}"):
             read_image(tmp_path / name)
     with pytest.raises(InputError, match="does not exist"):
         read_image(tmp_path / "none.png")
@@ -53,16 +53,16 @@ def test_what_is_no_picture_is_refused(tmp_path, capfd):
 @pytest.mark.parametrize("ending", [".png", ".jpg"])
 def test_a_picture_that_was_not_written_to_its_end_is_refused(tmp_path, capfd, ending):
     path = tmp_path / f"cut{ending}"
-    whole = cv2.imencode(ending, GREY)[1].tobytes()
-    for length in (0, 40, len(whole) // 2, len(whole) - 1):
-        path.write_bytes(whole[:length])
+    content = cv2.imencode(ending, GREY)[1].tobytes()
+    for length in (0, 40, len(content) // 2, len(content) - 1):
+        path.write_bytes(content[:length])
         assert not is_whole_picture(path)
         if length > 8:
             with pytest.raises(
                 InputError, match=r"not a readable picture|is incomplete|that is incomplete"
             ):
                 read_image(path)
-    path.write_bytes(whole + b"what cameras add")
+    path.write_bytes(content + b"what cameras add")
     assert is_whole_picture(path)
     np.testing.assert_allclose(read_image(path), GREY, atol=0 if ending == ".png" else 60)
     assert capfd.readouterr() == ("", "")
@@ -88,9 +88,13 @@ def test_one_picture_for_two_views_is_refused_whatever_the_file(tmp_path):
 
 def test_a_folder_of_shots_that_is_not_there_or_empty_is_called_so(tmp_path):
     (tmp_path / "empty").mkdir()
-    for place, said in (("none", "does not exist"), ("empty", "holds no picture"), ("n*", "holds")):
-        with pytest.raises(InputError, match=said):
-            load_shots({"left": tmp_path / place})
+    for folder, message in (
+        ("none", "does not exist"),
+        ("empty", "holds no picture"),
+        ("n*", "holds"),
+    ):
+        with pytest.raises(InputError, match=message):
+            load_shots({"left": tmp_path / folder})
 
 
 @pytest.mark.parametrize("name", ["dark", "twelve"])

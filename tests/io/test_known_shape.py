@@ -60,11 +60,11 @@ def test_json_of_edges(folder, edges, form):
 def test_obj_polylines_are_edges(folder, edges):
     points = [f"v {x!r} {y!r} {z!r}" for x, y, z in edges.reshape(-1, 3).tolist()]
     links = [f"l {2 * i + 1} {2 * i + 2}" for i in range(len(edges))]
-    found = read(folder, "lines.obj", "\n".join([*points, *links])).edges_mm
+    loaded = read(folder, "lines.obj", "\n".join([*points, *links])).edges_mm
     # Vertices closer than a ten-millionth of the model's size are one.
     size = max(np.ptp(edges.reshape(-1, 3), axis=0).max(), 1e-30)
-    if len(found) == len(edges):
-        np.testing.assert_allclose(found, edges, atol=1e-6 * size)
+    if len(loaded) == len(edges):
+        np.testing.assert_allclose(loaded, edges, atol=1e-6 * size)
     else:
         lengths = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
         assert lengths.min() < 1e-6 * size
@@ -79,8 +79,8 @@ def test_units(folder):
 
 def test_polylines_run_straight_on(folder):
     square = "0 0 0\n5 0 0\n10 0 0\n10 10 0\n0 10 0\n0 4 0\n0 0 0\n"
-    away = "\n20,0,0\n21,0,0\n22,0,1e-7\n"
-    edges = read(folder, "polylines.txt", square + "\n" + away).edges_mm
+    separate_polyline = "\n20,0,0\n21,0,0\n22,0,1e-7\n"
+    edges = read(folder, "polylines.txt", square + "\n" + separate_polyline).edges_mm
     assert sorted(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).round(6)) == [2, 10, 10, 10, 10]
 
 

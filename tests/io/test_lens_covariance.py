@@ -58,7 +58,7 @@ def test_what_is_no_covariance_is_refused(tmp_path, change):
 
 
 def rig_of(*names: str) -> Rig:
-    """Cameras of one lens, whose fx and k1 are known by a covariance, k1 of "b" alone."""
+    """Cameras of one lens, with a joint covariance of the k1, distance and fx of each camera."""
     cameras = {
         name: Camera.from_degrees(
             LENS, pan_deg=20.0 * k, tilt_deg=40.0, swing_deg=0.0, distance_mm=500.0
@@ -73,13 +73,13 @@ def rig_of(*names: str) -> Rig:
 def test_the_lens_of_a_rig_has_its_part_of_the_covariance(tmp_path):
     rig = rig_of("a", "b")
     save_rig(rig, tmp_path / "rig.json")
-    lens, found = load_lens(tmp_path / "rig.json", "b")
+    lens, loaded_covariance = load_lens(tmp_path / "rig.json", "b")
     np.testing.assert_array_equal(lens.distortion, LENS.distortion)
-    assert found is not None
+    assert loaded_covariance is not None
     # The lens's parameters are fx, fy, cx, cy, k1, ..., the rig's k1, distance and fx of each.
     expected = np.zeros((9, 9))
     expected[np.ix_([4, 0], [4, 0])] = np.asarray(rig.covariance)[np.ix_([3, 5], [3, 5])]
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(loaded_covariance, expected)
 
 
 def test_one_file_of_all_cameras_is_one_lens_or_that_of_each(tmp_path):
@@ -90,11 +90,11 @@ def test_one_file_of_all_cameras_is_one_lens_or_that_of_each(tmp_path):
     lenses, shared = read_lenses((str(one),), ("left", "right"))
     assert list(lenses) == ["left", "right"]
     np.testing.assert_array_equal(shared, load_lens(one).covariance)
-    _, each = read_lenses((f"left={one}", f"right={exact}"), ())
-    assert list(each) == ["left"]
+    _, covariances = read_lenses((f"left={one}", f"right={exact}"), ())
+    assert list(covariances) == ["left"]
     assert read_lenses((str(exact),), ("left", "right"))[1] is None
-    for given, says in (((str(both),), 'none of which is "left"'), ((f"c={both}",), '"c"')):
-        with pytest.raises(InputError, match=says):
-            read_lenses(given, ("left",))
+    for arguments, message in (((str(both),), 'none of which is "left"'), ((f"c={both}",), '"c"')):
+        with pytest.raises(InputError, match=message):
+            read_lenses(arguments, ("left",))
     with pytest.raises(InputError, match="a lens is that of one"):
         load_lens(both)

@@ -23,7 +23,7 @@ SOURCES = {
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A package that is not imported but for its door; returns what rewrites a module of it."""
+    """Import a new package's `__init__` alone. Yield a function that rewrites its modules."""
     folder = tmp_path / "made_package"
     folder.mkdir()
     for name, text in SOURCES.items():
@@ -89,30 +89,30 @@ def _turn(pose: Pose) -> Pose:
 
 
 def modules_of(run):
-    """The modules with which the programs of a call are looked for and kept."""
-    asked = []
+    """The module sets that a call passes to the program store."""
+    requests = []
 
     class Store:
         def get(self, name, modules=frozenset()):
-            asked.append(modules)
+            requests.append(modules)
 
         def put(self, name, content, modules=frozenset()):
-            asked.append(modules)
+            requests.append(modules)
 
     before = set_program_store(Store())
     try:
         run()
     finally:
         set_program_store(before)
-    return asked
+    return requests
 
 
 def test_a_program_brings_the_modules_of_its_function_and_its_arguments():
-    asked = modules_of(lambda: kept_jit(_turn)(Pose(np.eye(3, 4))))
-    assert asked == [{__name__, "trinoc.geometry.pose"}] * 2
+    requests = modules_of(lambda: kept_jit(_turn)(Pose(np.eye(3, 4))))
+    assert requests == [{__name__, "trinoc.geometry.pose"}] * 2
 
 
 def test_a_program_brings_the_module_that_keeps_a_function_of_another():
     forget_programs()
-    asked = modules_of(lambda: homography_of_pose(Pose(np.eye(3, 4))))
-    assert "trinoc.calib.photometric.sheet_geometry" in asked[0]
+    requests = modules_of(lambda: homography_of_pose(Pose(np.eye(3, 4))))
+    assert "trinoc.calib.photometric.sheet_geometry" in requests[0]

@@ -30,26 +30,26 @@ def test_every_valid_file_is_read(files):
 
 @st.composite
 def damages(draw):
-    """A function from bytes to other bytes."""
+    """Functions that damage the bytes of a file."""
     kind = draw(st.sampled_from(["cut", "flip", "put", "replace", "repeat"]))
-    place, length = draw(st.floats(0, 1)), draw(st.integers(1, 12))
+    fraction, length = draw(st.floats(0, 1)), draw(st.integers(1, 12))
     bits = draw(st.integers(1, 255))
-    come = draw(st.sampled_from([*HUGE, *ODD]) | st.binary(max_size=6))
+    inserted = draw(st.sampled_from([*HUGE, *ODD]) | st.binary(max_size=6))
 
     def damaged(content):
-        at = int(place * len(content))
+        offset = int(fraction * len(content))
         match kind:
             case "cut":
-                return content[:at]
+                return content[:offset]
             case "flip":
-                at = min(at, len(content) - 1)
-                return content[:at] + bytes([content[at] ^ bits]) + content[at + 1 :]
+                offset = min(offset, len(content) - 1)
+                return content[:offset] + bytes([content[offset] ^ bits]) + content[offset + 1 :]
             case "put":
-                return content[:at] + come + content[at:]
+                return content[:offset] + inserted + content[offset:]
             case "replace":
-                return content[:at] + come + content[at + length :]
+                return content[:offset] + inserted + content[offset + length :]
             case _:
-                return content[:at] + content[at : at + length] * 40 + content[at:]
+                return content[:offset] + content[offset : offset + length] * 40 + content[offset:]
 
     return damaged
 
@@ -59,16 +59,16 @@ def damages(draw):
 @given(damaged=st.lists(damages(), min_size=1, max_size=3))
 def test_damaged_files_are_values_or_sentences(files, damaged):
     for kind, file in files.items():
-        whole = content = file.path.read_bytes()
+        original = content = file.path.read_bytes()
         for change in damaged:
             content = change(content) if content else content
         file.path.write_bytes(content)
-        said = "a value"
+        message = "a value"
         try:
             file.load()
         except TrinocError as error:
-            said = str(error)
+            message = str(error)
         finally:
-            file.path.write_bytes(whole)
-        assert said, kind
-        assert "\n" not in said, kind
+            file.path.write_bytes(original)
+        assert message, kind
+        assert "\n" not in message, kind

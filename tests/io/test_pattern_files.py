@@ -68,7 +68,7 @@ def test_ready_drawings_are_those_of_the_layout(paper):
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         (lambda layout: layout.update(version=2), "version"),
         (lambda layout: layout.update(format="trinoc-rig"), "format"),
@@ -81,13 +81,13 @@ def test_ready_drawings_are_those_of_the_layout(paper):
         (lambda layout: layout["lines"].update(style="dashed"), "line style"),
     ],
 )
-def test_a_bad_layout_is_refused_by_file_and_key(tmp_path, change, words):
+def test_a_bad_layout_is_refused_by_file_and_key(tmp_path, change, message):
     path = tmp_path / "sheet.json"
     save_pattern(Pattern.default(), path)
     layout = json.loads(path.read_text(encoding="utf-8"))
     change(layout)
     path.write_text(json.dumps(layout), encoding="utf-8")
-    with pytest.raises(InputError, match=words) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         load_pattern(path)
     assert str(path) in str(caught.value)
 

@@ -15,7 +15,7 @@ SHEET = Pattern.cross_grid(rows=4, columns=4, pitch_mm=20.0, radius_mm=6.0)
 
 
 def ink_of(picture: np.ndarray) -> np.ndarray:
-    """Part of each pixel that is ink, by the light it gives off."""
+    """Fraction of ink in each pixel, computed from its linear light."""
     level = picture / 255.0
     return 1.0 - np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
 
@@ -28,11 +28,11 @@ def test_circles_stand_where_the_pattern_says(pitch_mm, odd):
     u, v = np.meshgrid(np.arange(width), np.arange(height))
     x, y = (u - (width - 1) / 2) * pitch_mm, ((height - 1) / 2 - v) * pitch_mm
     for centre, inner in zip(SHEET.centres_mm, SHEET.inner_radius_mm, strict=True):
-        near = np.hypot(x - centre[0], y - centre[1]) < 8.0
-        mass = ink[near].sum()
-        found = np.array([ink[near] @ x[near], ink[near] @ y[near]]) / mass
+        is_near = np.hypot(x - centre[0], y - centre[1]) < 8.0
+        mass = ink[is_near].sum()
+        centroid = np.array([ink[is_near] @ x[is_near], ink[is_near] @ y[is_near]]) / mass
         # Lattice points and 256 levels: a hundredth of a pixel, and .3 % of the area.
-        np.testing.assert_allclose(found, centre, rtol=0, atol=0.01 * pitch_mm)
+        np.testing.assert_allclose(centroid, centre, rtol=0, atol=0.01 * pitch_mm)
         assert mass * pitch_mm**2 == pytest.approx(np.pi * (36.0 - inner**2), rel=3e-3)
 
 

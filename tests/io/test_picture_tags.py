@@ -112,11 +112,11 @@ def test_one_warning_for_a_folder_names_its_first_picture(tmp_path, caplog):
 
 @pytest.mark.parametrize("pixels", [GREY, DEEP])
 def test_white_as_zero_is_read_as_it_is_meant(tmp_path, pixels):
-    whole = np.iinfo(pixels.dtype).max
-    content = bytearray(encode(whole - pixels, "TIFF"))
-    at = picture_tags._tiff_value_at(bytes(content), 262)
-    assert at is not None
-    content[at : at + 2] = b"\0\0"
+    white = np.iinfo(pixels.dtype).max
+    content = bytearray(encode(white - pixels, "TIFF"))
+    offset = picture_tags._tiff_value_at(bytes(content), 262)
+    assert offset is not None
+    content[offset : offset + 2] = b"\0\0"
     (tmp_path / "a.tif").write_bytes(bytes(content))
     np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), pixels)
 
@@ -135,9 +135,9 @@ def test_a_picture_drawn_in_its_transparency_is_refused(tmp_path):
 
 
 def test_a_tiff_that_is_cut_anywhere_is_read_or_refused(tmp_path):
-    whole = encode(GREY, "TIFF", 6)
-    for length in range(1, len(whole)):
-        (tmp_path / "a.tif").write_bytes(whole[:length])
+    content = encode(GREY, "TIFF", 6)
+    for length in range(1, len(content)):
+        (tmp_path / "a.tif").write_bytes(content[:length])
         try:
             read_image(tmp_path / "a.tif")
         except InputError:

@@ -1,4 +1,4 @@
-"""What rig.json accepts from people's hands, and the sentence for each mistake."""
+"""A rig.json edited by hand: accepted variants, and one sentence for each mistake."""
 
 import copy
 import json
@@ -67,10 +67,10 @@ def test_file_holds_what_the_design_names(document):
 
 @pytest.mark.parametrize("key", ["extrinsics", "cam_from_world", "sigma"])
 def test_either_form_of_the_pose_is_enough_and_sigma_is_a_reading_aid(document, tmp_path, key):
-    whole = loaded(document, tmp_path)
-    part = loaded(changed(document, "cameras", "upper", key, value=None), tmp_path)
-    np.testing.assert_allclose(part.matrices_px, whole.matrices_px, rtol=1e-9)
-    assert part.sigma("upper.pan_deg") == whole.sigma("upper.pan_deg")
+    complete = loaded(document, tmp_path)
+    reduced = loaded(changed(document, "cameras", "upper", key, value=None), tmp_path)
+    np.testing.assert_allclose(reduced.matrices_px, complete.matrices_px, rtol=1e-9)
+    assert reduced.sigma("upper.pan_deg") == complete.sigma("upper.pan_deg")
 
 
 def test_rig_without_covariance_is_a_rig(document, tmp_path):

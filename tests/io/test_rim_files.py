@@ -1,4 +1,4 @@
-"""Rims as files: what is written is what is read, and what other tools find in it."""
+"""Files of rims: the round trip is exact, and other formats contain the circles."""
 
 import dataclasses
 
@@ -31,12 +31,12 @@ def fields_are_equal(one: object, other: object) -> None:
 def test_what_is_written_is_what_is_read(tmp_path):
     file = tmp_path / "rims.npz"
     trinoc.save(RIMS, file)
-    for back in (trinoc.load(file), trinoc.load(file)):
-        fields_are_equal(RIMS, back)
+    for loaded in (trinoc.load(file), trinoc.load(file)):
+        fields_are_equal(RIMS, loaded)
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "said"),
+    ("name", "value", "message"),
     [
         ("radius_mm", np.array([12.0, 0.0]), "of row 1 is no radius"),
         ("centre_mm", np.full((2, 3), np.nan), "is not finite or beyond all scenes"),
@@ -51,36 +51,36 @@ def test_what_is_written_is_what_is_read(tmp_path):
         ("matches/posterior", np.full(len(RIMS.matches), 2.0), "is no probability"),
     ],
 )
-def test_what_no_rims_have_is_refused(tmp_path, name, value, said):
+def test_what_no_rims_have_is_refused(tmp_path, name, value, message):
     file = tmp_path / "rims.npz"
     trinoc.save(RIMS, file)
     with np.load(file) as content:
         arrays = dict(content)
     np.savez(tmp_path / "wrong.npz", **{**arrays, name: value})
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         trinoc.load(tmp_path / "wrong.npz")
 
 
 def test_an_obj_has_the_circles(tmp_path):
     FORMATS["obj"].save(RIMS, tmp_path / "rims.obj", unit_mm=10.0)
     lines = (tmp_path / "rims.obj").read_text().splitlines()
-    places = np.array([line.split()[1:] for line in lines if line[0] == "v"], dtype=float) * 10
+    vertices = np.array([line.split()[1:] for line in lines if line[0] == "v"], dtype=float) * 10
     pairs = np.array([line.split()[1:] for line in lines if line[0] == "l"], dtype=int) - 1
     assert len(pairs) == 2 * 48
-    for row, own in enumerate(np.split(places, 2)):
-        np.testing.assert_array_equal(own[0], own[-1])
-        spoke = own - RIMS.centre_mm[row]
+    for row, circle in enumerate(np.split(vertices, 2)):
+        np.testing.assert_array_equal(circle[0], circle[-1])
+        spoke = circle - RIMS.centre_mm[row]
         np.testing.assert_allclose(np.linalg.norm(spoke, axis=1), RIMS.radius_mm[row])
         np.testing.assert_allclose(spoke @ RIMS.normal[row], 0.0, atol=1e-9)
-    assert (np.linalg.norm(np.diff(places[pairs], axis=1), axis=2) > 0).all()
+    assert (np.linalg.norm(np.diff(vertices[pairs], axis=1), axis=2) > 0).all()
 
 
 def test_marked_tracks_stay_marked_in_their_file(tmp_path):
     matches = bench_matches()
     silhouette = np.linspace(0.0, 1.0, len(matches))
     trinoc.save(matches.with_marks(silhouette=silhouette), tmp_path / "matches.npz")
-    back = trinoc.load_matches(tmp_path / "matches.npz")
-    np.testing.assert_array_equal(back.marks["silhouette"], silhouette)
+    loaded = trinoc.load_matches(tmp_path / "matches.npz")
+    np.testing.assert_array_equal(loaded.marks["silhouette"], silhouette)
     trinoc.save(matches, tmp_path / "plain.npz")
     assert trinoc.load_matches(tmp_path / "plain.npz").marks == {}
 

@@ -1,4 +1,4 @@
-"""What is written is what is read, field by field, so that no field is forgotten."""
+"""Every field of a value survives writing and reading."""
 
 import dataclasses
 import re
@@ -29,7 +29,7 @@ def folder(tmp_path_factory):
 
 
 def assert_same(one, other, rtol=0.0):
-    """Equal in every field; `rtol` is for numbers that go through another unit."""
+    """Assert that two values are equal in every field. `rtol` allows for a conversion of units."""
     assert type(one) is type(other)
     if dataclasses.is_dataclass(one):
         for field in dataclasses.fields(one):
@@ -71,16 +71,16 @@ def test_segments(folder, segments):
 
 
 def test_detection(folder):
-    found = made_detection()
-    trinoc.save(found, folder / "detection.npz")
-    assert_same(trinoc.load(folder / "detection.npz"), found)
-    assert list(found.named_columns(brief=True))[:3] == ["circle_index", "u_px", "v_px"]
+    detection = made_detection()
+    trinoc.save(detection, folder / "detection.npz")
+    assert_same(trinoc.load(folder / "detection.npz"), detection)
+    assert list(detection.named_columns(brief=True))[:3] == ["circle_index", "u_px", "v_px"]
 
 
 def test_every_column_of_a_table_is_said_in_its_docstring():
     for kind in (*tables(), Frames):
-        said = re.findall(r"(?m)(?:^|\. )\s*((?:\w+, )*\w+) : ", kind.__doc__ or "")
-        names = {name for words in said for name in words.split(", ")}
+        listed = re.findall(r"(?m)(?:^|\. )\s*((?:\w+, )*\w+) : ", kind.__doc__ or "")
+        names = {name for listing in listed for name in listing.split(", ")}
         assert {field.name for field in dataclasses.fields(kind)} <= names, kind
 
 

@@ -1,4 +1,4 @@
-"""Segment and match files from other hands: what is refused, and how it is said."""
+"""Readers of segment and match files refuse bad fields in a sentence that names the field."""
 
 import dataclasses
 
@@ -97,7 +97,7 @@ def test_what_does_not_fit_the_segments_is_refused(tmp_path, name, value, senten
     plain = Segments.from_endpoints(ENDS)
     rows = np.array([0, 1])
     junctions = Junctions(np.ones((1, 2)), np.eye(2)[None], np.array(["L"]), 0 * rows, rows, rows)
-    whole = Segments(
+    segments = Segments(
         plain.endpoints_px,
         plain.covariance_px2,
         plain.polarity,
@@ -108,7 +108,7 @@ def test_what_does_not_fit_the_segments_is_refused(tmp_path, name, value, senten
         rows,
         junctions,
     )
-    trinoc.save(whole, path)
+    trinoc.save(segments, path)
     arrays = dict(np.load(path))
     if value is None:
         del arrays[name]

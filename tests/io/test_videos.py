@@ -23,7 +23,7 @@ COUNT = 12
 
 
 def frame_of(number: int) -> np.ndarray:
-    """A picture whose number is its bright columns in binary, so that any codec keeps it."""
+    """A frame that shows its number in binary, as bright columns that survive any codec."""
     bits = [number >> k & 1 for k in range(SIZE_PX[0] // BAR_PX)]
     row = np.repeat(np.array(bits, dtype=np.uint8) * 200 + 20, BAR_PX)
     return np.tile(row, (SIZE_PX[1], 1))
@@ -50,22 +50,22 @@ def rewrite(file: str, change: Callable[[bytes], bytes]) -> None:
 
 
 def turned(content: bytes) -> bytes:
-    """An MP4 that asks to be shown turned by 90 degrees, as telephones write it (ISO 14496-12)."""
-    at = content.index(b"tkhd") + 44
+    """An MP4 with a display matrix that rotates by 90 degrees, as by telephones (ISO 14496-12)."""
+    offset = content.index(b"tkhd") + 44
     matrix = struct.pack(">9i", 0, 1 << 16, 0, -(1 << 16), 0, 0, 0, 0, 1 << 30)
-    return content[:at] + matrix + content[at + 36 :]
+    return content[:offset] + matrix + content[offset + 36 :]
 
 
 def with_gap(content: bytes, before: int) -> bytes:
-    """An MP4 whose clock misses a moment after so many frames, as of a frame that was dropped."""
+    """An MP4 with a gap of one frame in its time stamps, as after a dropped frame."""
     # The list of edits says how long the video was.
     content = content.replace(b"edts", b"free")
-    at = content.index(b"stts") + 4
-    entries, count, step = struct.unpack_from(">3I", content, at + 4)
+    offset = content.index(b"stts") + 4
+    entries, count, step = struct.unpack_from(">3I", content, offset + 4)
     assert entries == 1
     runs = ((before - 1, step), (1, 2 * step), (count - before, step))
     table = struct.pack(">I", 3) + b"".join(struct.pack(">2I", *run) for run in runs)
-    content = content[: at + 4] + table + content[at + 16 :]
+    content = content[: offset + 4] + table + content[offset + 16 :]
     for box in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stts"):
         begin = content.index(box) - 4
         grown = struct.unpack_from(">I", content, begin)[0] + 16
@@ -75,17 +75,17 @@ def with_gap(content: bytes, before: int) -> bytes:
 
 @pytest.fixture
 def run(tmp_path, monkeypatch, capfd):
-    """Writes the frames of videos, in an empty folder: (status, stdout, stderr)."""
+    """Run the export of video frames in an empty folder: (status, stdout, stderr)."""
     monkeypatch.chdir(tmp_path)
 
-    def run_one(*words):
-        return main(["export", *words, "--from", "video", "-o", "frames"]), *capfd.readouterr()
+    def run_one(*arguments):
+        return main(["export", *arguments, "--from", "video", "-o", "frames"]), *capfd.readouterr()
 
     return run_one
 
 
 def numbers_there(camera: str) -> dict[int, int]:
-    """The number of each file's name, and that which its picture shows."""
+    """For each frame file: the number in its name and the number that its image shows."""
     files = sorted(Path("frames", camera).iterdir())
     return {int(file.stem): number_of(read_image(file)) for file in files}
 
@@ -93,9 +93,9 @@ def numbers_there(camera: str) -> dict[int, int]:
 def test_frames_of_three_videos_are_a_recording_and_shots(run):
     for name in ("upper", "left", "right"):
         write_video(f"{name}.avi")
-    status, said, _ = run("upper.avi", "left.avi", "right.avi")
+    status, stdout, _ = run("upper.avi", "left.avi", "right.avi")
     assert status == 0
-    assert said.startswith("12 frames of upper (96 x 64 px), left (96 x 64 px), right")
+    assert stdout.startswith("12 frames of upper (96 x 64 px), left (96 x 64 px), right")
     for name in ("upper", "left", "right"):
         assert numbers_there(name) == {k: k for k in range(COUNT)}
     assert not list(Path("frames").rglob(".*"))
@@ -117,35 +117,35 @@ def test_frames_are_as_the_video_has_them_and_grey_ones_stay_grey(run):
     writer.release()
     assert run("left.avi", "red.avi")[0] == 0
     for name in ("left", "red"):
-        whole = cv2.VideoCapture(f"{name}.avi").read()[1]
+        frame = cv2.VideoCapture(f"{name}.avi").read()[1]
         picture = read_image(f"frames/{name}/000000.png")
-        expected = whole[..., 0] if name == "left" else whole[..., ::-1]
+        expected = frame[..., 0] if name == "left" else frame[..., ::-1]
         np.testing.assert_array_equal(picture, expected)
 
 
 @pytest.mark.parametrize(("every_s", "step"), [("0.5", 5), ("0.01", 1), ("0.24", 2)])
 def test_every_so_many_seconds(run, every_s, step):
     write_video("left.avi")
-    status, said, _ = run("left=left.avi", "--every-s", every_s, "--json")
+    status, stdout, _ = run("left=left.avi", "--every-s", every_s, "--json")
     assert status == 0
-    own = range(0, COUNT, step)
-    assert json.loads(said)["frames"] == len(own)
-    assert numbers_there("left") == {k: k for k in own}
+    numbers = range(0, COUNT, step)
+    assert json.loads(stdout)["frames"] == len(numbers)
+    assert numbers_there("left") == {k: k for k in numbers}
 
 
 def test_a_dropped_frame_puts_no_later_one_out_of_step(run):
-    """The clocks of the files say which frames are of one moment, not their places."""
+    """Frames are paired by their time stamps, not by their order in the files."""
     count, gap = 240, 17
     write_video("left.mp4", count, code="mp4v")
     write_video("right.mp4", count - 1, code="mp4v")
     rewrite("right.mp4", lambda content: with_gap(content, gap))
-    status, _, told = run("left.mp4", "right.mp4")
+    status, _, stderr = run("left.mp4", "right.mp4")
     assert status == 0
-    assert "right.mp4 has no frame at 1 of the moments of the other videos" in told
+    assert "right.mp4 has no frame at 1 of the moments of the other videos" in stderr
     assert numbers_there("left") == {k: k for k in range(count) if k != gap}
     # The picture that shows k - 1 was taken at k.
-    own = {k: k if k < gap else k - 1 for k in range(count) if k != gap}
-    assert numbers_there("right") == own
+    sources = {k: k if k < gap else k - 1 for k in range(count) if k != gap}
+    assert numbers_there("right") == sources
 
 
 def test_a_clock_that_stands_still_counts_for_nothing(monkeypatch, tmp_path):
@@ -171,9 +171,9 @@ def test_a_video_that_is_to_be_turned_gives_what_the_sensor_had(run):
     write_video("left.mp4", code="mp4v")
     write_video("right.mp4", code="mp4v")
     rewrite("right.mp4", turned)
-    status, _, told = run("left.mp4", "right.mp4")
+    status, _, stderr = run("left.mp4", "right.mp4")
     assert status == 0
-    assert "right.mp4 has a tag to rotate it by 90 degrees" in told
+    assert "right.mp4 has a tag to rotate it by 90 degrees" in stderr
     for number in range(COUNT):
         left, right = (read_image(f"frames/{n}/{number:06d}.png") for n in ("left", "right"))
         np.testing.assert_array_equal(left, right)
@@ -189,22 +189,22 @@ def test_of_a_damaged_tail_what_was_read_is_kept_and_said(run, read):
     write_video("left.avi")
     write_video("right.avi")
     rewrite("right.avi", lambda content: cut_in_frame(read, content))
-    status, said, told = run("left.avi", "right.avi", "--json")
+    status, stdout, stderr = run("left.avi", "right.avi", "--json")
     assert status == 0
-    assert json.loads(said)["frames"] == read
-    assert f"right.avi states 12 frames, but only {read} can be read" in told
+    assert json.loads(stdout)["frames"] == read
+    assert f"right.avi states 12 frames, but only {read} can be read" in stderr
     assert numbers_there("left") == numbers_there("right") == {k: k for k in range(read)}
 
 
 def test_lengths_and_sizes_that_differ_are_named(run):
     write_video("left.avi")
     write_video("right.avi", COUNT - 4, size=2)
-    status, said, told = run("left.avi", "right.avi")
+    status, stdout, stderr = run("left.avi", "right.avi")
     assert status == 0
-    assert said.startswith("8 frames of left (96 x 64 px), right (192 x 128 px)")
-    assert "left.avi has 12 frames and right.avi 8" in told
-    assert "left.avi is 96 x 64 px and right.avi 192 x 128 px" in told
-    assert "can be read" not in told
+    assert stdout.startswith("8 frames of left (96 x 64 px), right (192 x 128 px)")
+    assert "left.avi has 12 frames and right.avi 8" in stderr
+    assert "left.avi is 96 x 64 px and right.avi 192 x 128 px" in stderr
+    assert "can be read" not in stderr
 
 
 def refusals():
@@ -227,8 +227,8 @@ def refusals():
     )
 
 
-@pytest.mark.parametrize(("words", "why"), [each[1:] for each in refusals()])
-def test_what_gives_no_frames_is_said_before_any_is_written(run, words, why):
+@pytest.mark.parametrize(("arguments", "why"), [each[1:] for each in refusals()])
+def test_what_gives_no_frames_is_said_before_any_is_written(run, arguments, why):
     write_video("left.avi")
     write_video("slow.avi", rate=5.0)
     write_video("none.avi", 0)
@@ -236,10 +236,10 @@ def test_what_gives_no_frames_is_said_before_any_is_written(run, words, why):
     rewrite("cut.mp4", lambda content: content[: len(content) // 2])
     Path("text.avi").write_text("hello")
     cv2.imwrite("one.png", frame_of(1))
-    status, said, told = run(*words)
-    assert (status in (1, 2), said) == (True, "")
-    assert why in told
-    assert told.splitlines()[-1].startswith("trinoc: ")
+    status, stdout, stderr = run(*arguments)
+    assert (status in (1, 2), stdout) == (True, "")
+    assert why in stderr
+    assert stderr.splitlines()[-1].startswith("trinoc: ")
     assert not Path("frames").exists()
 
 
@@ -247,9 +247,9 @@ def test_no_file_is_written_among_others_or_over_the_video(run):
     write_video("a b.avi")
     Path("frames").mkdir()
     Path("frames", "mine.txt").write_text("mine")
-    status, said, told = run("a b.avi")
-    assert (status, said) == (1, "")
-    assert "contains files: give a new or an empty folder" in told
+    status, stdout, stderr = run("a b.avi")
+    assert (status, stdout) == (1, "")
+    assert "contains files: give a new or an empty folder" in stderr
     assert os.listdir("frames") == ["mine.txt"]
     Path("frames", "mine.txt").unlink()
     # An empty folder is as good as a new one, and names may have spaces.
@@ -264,14 +264,14 @@ def test_a_video_where_pictures_are_asked_for_names_the_command(run, capfd, tmp_
     write_video("videos/left.avi")
     trinoc.save(trinoc.Pattern.cross_grid(rows=4, columns=5, pitch_mm=20, radius_mm=5), "b.json")
     trinoc.save(table1_rig(), "rig.json")
-    for words in (
+    for arguments in (
         ("segments", "left.avi", "-o", "s.npz"),
         ("batch", "left.avi", "--rig", "rig.json"),
         ("batch", "videos", "--rig", "rig.json"),
         ("calibrate-rig", "left=left.avi", "--board", "b.json"),
         ("calibrate-rig", "left=videos", "--board", "b.json"),
     ):
-        assert main(words) == 1
-        told = capfd.readouterr().err
-        file = "videos/left.avi" if "videos" in " ".join(words) else "left.avi"
-        assert f"{file} is a video: write its frames by `trinoc export" in told
+        assert main(arguments) == 1
+        stderr = capfd.readouterr().err
+        file = "videos/left.avi" if "videos" in " ".join(arguments) else "left.avi"
+        assert f"{file} is a video: write its frames by `trinoc export" in stderr

@@ -1,4 +1,4 @@
-"""Wire frames as files: what is written is what is read, and what other tools find in it."""
+"""Files of wireframes: the round trip is exact, and other formats contain the edges."""
 
 import dataclasses
 import json
@@ -16,24 +16,24 @@ FRAME = made_wireframe()
 
 def test_what_is_written_is_what_is_read(tmp_path):
     trinoc.save(FRAME, tmp_path / "wireframe.npz")
-    for back in (
+    for loaded in (
         trinoc.load(tmp_path / "wireframe.npz"),
         trinoc.load(tmp_path / "wireframe.npz"),
     ):
         for field in dataclasses.fields(FRAME):
-            one, other = getattr(FRAME, field.name), getattr(back, field.name)
+            written, loaded_values = getattr(FRAME, field.name), getattr(loaded, field.name)
             if field.name == "joint_covariance_mm2":
-                for a, b in zip(one, other, strict=True):
+                for a, b in zip(written, loaded_values, strict=True):
                     np.testing.assert_array_equal(a, b)
-            elif isinstance(one, np.ndarray):
-                np.testing.assert_array_equal(one, other)
-                assert one.dtype == other.dtype
+            elif isinstance(written, np.ndarray):
+                np.testing.assert_array_equal(written, loaded_values)
+                assert written.dtype == loaded_values.dtype
             else:
-                assert one == other
+                assert written == loaded_values
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "said"),
+    ("name", "value", "message"),
     [
         ("edges", np.full((7, 2), 7), "names a vertex that is not there"),
         ("part", np.array([0] * 6 + [2]), "leaves a part without a vertex"),
@@ -42,13 +42,13 @@ def test_what_is_written_is_what_is_read(tmp_path):
         ("joint_covariance_mm2", np.full(225 + 36, np.nan), "is no covariance"),
     ],
 )
-def test_what_no_wire_frame_has_is_refused(tmp_path, name, value, said):
+def test_what_no_wire_frame_has_is_refused(tmp_path, name, value, message):
     file = tmp_path / "wireframe.npz"
     trinoc.save(FRAME, file)
     with np.load(file) as content:
         arrays = dict(content)
     np.savez(tmp_path / "wrong.npz", **{**arrays, name: value})
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         trinoc.load(tmp_path / "wrong.npz")
 
 

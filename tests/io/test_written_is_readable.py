@@ -1,4 +1,4 @@
-"""What is written can be read: writers and readers refuse the same lenses and cameras."""
+"""Every written file can be read: writers and readers refuse the same lenses and cameras."""
 
 import json
 
@@ -104,7 +104,7 @@ def usable_lens(model: str) -> Intrinsics:
     ],
 )
 def test_a_lens_that_folds_in_the_corners_is_read_once_it_is_written(name, holds, model, tmp_path):
-    """In every format whose models have it; the radius is that of the coefficients."""
+    """This holds in every format with the lens model. The coefficients fix the fold radius."""
     lens, target = usable_lens(model), FORMATS[name]
     assert describe_unusable_fold(lens) is None
     assert describe_fold(lens) is not None
@@ -119,11 +119,11 @@ def test_a_lens_that_folds_in_the_corners_is_read_once_it_is_written(name, holds
     if refusal:
         assert f"{model}, which" in refusal
         return
-    again = target.load(path, lenses=dict.fromkeys(("a", "b"), lens))
-    read = again if isinstance(again, Intrinsics) else next(iter(again.cameras)).intrinsics
+    loaded = target.load(path, lenses=dict.fromkeys(("a", "b"), lens))
+    read = loaded if isinstance(loaded, Intrinsics) else next(iter(loaded.cameras)).intrinsics
     assert read.distortion_model == model
     np.testing.assert_allclose(read.valid_radius_px, lens.valid_radius_px, rtol=1e-6)
-    (note, *_) = fold_notes(again)
+    (note, *_) = fold_notes(loaded)
     assert f"folds the image {lens.valid_radius_px:.0f} px" in note
 
 
@@ -164,11 +164,11 @@ def test_a_rotation_rounded_to_some_digits_is_read_once_it_is_written(digits, tm
         assert not path.exists()
         return
     trinoc.save(Rig(rounded), path)
-    again = trinoc.load_rig(path)
-    for name, camera in again.items():
+    loaded = trinoc.load_rig(path)
+    for name, camera in loaded.items():
         rotation = np.asarray(camera.cam_from_world)[:, :3]
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
         written = np.asarray(rounded[name].cam_from_world)
         np.testing.assert_allclose(camera.cam_from_world, written, atol=10.0**-digits)
-    trinoc.save(again, path, overwrite=True)
-    assert trinoc.load_rig(path) == again
+    trinoc.save(loaded, path, overwrite=True)
+    assert trinoc.load_rig(path) == loaded

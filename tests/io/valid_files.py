@@ -54,13 +54,13 @@ class ValidFile(NamedTuple):
 
 
 def valid_files(folder: Path) -> dict[str, ValidFile]:
-    """All of them, written below a folder."""
-    found: dict[str, ValidFile] = {}
+    """Write one valid file of every kind below a folder."""
+    files: dict[str, ValidFile] = {}
 
     def add(kind: str, name: str, load: Callable[[Path], Any]) -> Path:
         path = folder / kind / name
         path.parent.mkdir(parents=True)
-        found[kind] = ValidFile(path, lambda: load(path))
+        files[kind] = ValidFile(path, lambda: load(path))
         return path
 
     trinoc.save(RIG, add("rig", "rig.json", trinoc.load_rig))
@@ -73,8 +73,8 @@ def valid_files(folder: Path) -> dict[str, ValidFile]:
     trinoc.save(matches, add("any", "any.npz", trinoc.load))
     trinoc.save(made_wireframe(), add("wireframe", "wireframe.npz", trinoc.load))
     trinoc.save(made_rims(), add("rims", "rims.npz", trinoc.load))
-    places = np.linspace(-1, 5, 12, dtype=np.float32).reshape(3, 4)
-    trinoc.save(PictureMaps(places, 1 - places, (5, 4)), add("maps", "maps.npz", trinoc.load))
+    positions = np.linspace(-1, 5, 12, dtype=np.float32).reshape(3, 4)
+    trinoc.save(PictureMaps(positions, 1 - positions, (5, 4)), add("maps", "maps.npz", trinoc.load))
     trinoc.save(made_detection(), add("detection", "detection.npz", trinoc.load))
     ends = np.random.default_rng(2).uniform(0, 400, (5, 4))
     segments = trinoc.Segments.from_endpoints(ends)
@@ -96,12 +96,12 @@ def valid_files(folder: Path) -> dict[str, ValidFile]:
     for ending in ("png", "tif", "jpg", "bmp", "pgm", "webp"):
         encoded = cv2.imencode(f".{ending}", image)[1].tobytes()
         add(ending, f"picture.{ending}", read_image).write_bytes(encoded)
-    found |= _of_other_tools(folder, segments)
-    return found
+    files |= _of_other_tools(folder, segments)
+    return files
 
 
 def measured() -> trinoc.Matches:
-    """Matches with all fields, as the matcher gives them."""
+    """Matches with all fields, like those of the matcher."""
     plain = bench_matches(4)
     random = np.random.default_rng(9)
     root = random.normal(size=(*plain.index.shape, 4, 4))
@@ -123,8 +123,8 @@ def _frame_table(path: Path) -> Any:
 
 
 def _of_other_tools(folder: Path, segments: trinoc.Segments) -> dict[str, ValidFile]:
-    """Files of formats that are read; of a folder, each of its files in turn."""
-    found = {}
+    """Files of the readable formats of other tools. A folder contributes each of its files."""
+    files = {}
     lenses = {name: camera.intrinsics for name, camera in RIG.items()}
     for name, form in FORMATS.items():
         if not form.reads:
@@ -137,7 +137,7 @@ def _of_other_tools(folder: Path, segments: trinoc.Segments) -> dict[str, ValidF
         if form.write is None:
             target.write_text(cameras_xml(), encoding="utf-8")
             load = lambda form=form, target=target: form.load(target)  # noqa: E731
-            found[f"{name} {target.name}"] = ValidFile(target, load)
+            files[f"{name} {target.name}"] = ValidFile(target, load)
             continue
         if form.place == "folder" or ("folder" in form.place and "rig" in form.reads):
             target = below / "rig"
@@ -145,5 +145,5 @@ def _of_other_tools(folder: Path, segments: trinoc.Segments) -> dict[str, ValidF
         for path in sorted(target.rglob("*")) if target.is_dir() else [target]:
             if path.is_file():
                 load = lambda form=form, target=target: form.load(target, lenses=lenses)  # noqa: E731
-                found[f"{name} {path.name}"] = ValidFile(path, load)
-    return found
+                files[f"{name} {path.name}"] = ValidFile(path, load)
+    return files

@@ -43,12 +43,14 @@ def test_the_usual_templates_are_found_by_themselves(template):
         for k in range(3)
         for c in CAMERAS
     ]
-    found = fitting_template(["notes.txt", *files], CAMERAS)
-    assert frames_of_names(files, found, CAMERAS) == frames_of_names(files, template, CAMERAS)
+    template_found = fitting_template(["notes.txt", *files], CAMERAS)
+    assert frames_of_names(files, template_found, CAMERAS) == frames_of_names(
+        files, template, CAMERAS
+    )
 
 
 @pytest.mark.parametrize(
-    ("template", "said"),
+    ("template", "message"),
     [
         ("{frame}.png", r"lacks {camera}"),
         ("{camera}.png", r"lacks {frame}"),
@@ -57,8 +59,8 @@ def test_the_usual_templates_are_found_by_themselves(template):
         ("{frame}_{camera}.*", "are both the picture of"),
     ],
 )
-def test_templates_that_do_not_fit_say_why(template, said):
-    with pytest.raises(InputError, match=re.escape(said)):
+def test_templates_that_do_not_fit_say_why(template, message):
+    with pytest.raises(InputError, match=re.escape(message)):
         frames_of_names(["1_upper.png", "1_upper.tif"], template, CAMERAS)
 
 
@@ -105,7 +107,7 @@ def test_a_table_keeps_its_order_and_may_lack_pictures():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", 'must have one column "frame"'),
         ("frame,upper\n1,a\n", 'must have one column "left"'),
@@ -117,10 +119,10 @@ def test_a_table_keeps_its_order_and_may_lack_pictures():
         (TABLE + '1,"a,b,c\n', "is not a CSV table"),
     ],
 )
-def test_tables_that_list_no_frames_say_where(text, said):
+def test_tables_that_list_no_frames_say_where(text, message):
     with pytest.raises(InputError, match=r"^t\.csv") as caught:
         frames_of_table(text, ("upper", "left"), "t.csv")
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
@@ -135,14 +137,14 @@ def test_files_outside_the_table_s_folder_are_refused(file):
 @given(text=st.text(st.sampled_from('frameupper,12"\n\r;\x00 '), max_size=60))
 def test_any_text_is_frames_or_a_sentence(text):
     try:
-        found = [frame.name for frame in frames_of_table(text, ("upper",), "t.csv")]
+        texts = [frame.name for frame in frames_of_table(text, ("upper",), "t.csv")]
     except InputError as error:
-        found = [str(error)]
-        said = str(error).startswith("t.csv")
+        texts = [str(error)]
+        is_named = str(error).startswith("t.csv")
     else:
-        said = True
-    assert found
-    assert said
+        is_named = True
+    assert texts
+    assert is_named
 
 
 @given(count=st.integers(0, 60), size=st.integers(1, 20), jobs=st.integers(1, 7))

@@ -158,8 +158,8 @@ def made_up_blocks() -> np.ndarray:
         ((5, 20, 0), (40, 12, 24), 0.1),
     ):
         c, s = np.cos(turn), np.sin(turn)
-        placed = corners * size @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + corner
-        boxes.append(placed[np.array(edges)])
+        box_corners = corners * size @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + corner
+        boxes.append(box_corners[np.array(edges)])
     return np.concatenate(boxes)
 
 
@@ -177,9 +177,9 @@ def made_up_matches(rig: Rig) -> tuple[dict[str, Segments], Matches]:
     fragments = np.where((index >= 0)[..., None, None], uv.transpose(1, 0, 2, 3), np.nan)
     reasons = {}
     for view, name in enumerate(rig):
-        words = np.full(count + 6, "no partner in the zone", dtype="<U32")
-        words[index[index[:, view] >= 0, view]] = "matched"
-        reasons[name] = words
+        reason_column = np.full(count + 6, "no partner in the zone", dtype="<U32")
+        reason_column[index[index[:, view] >= 0, view]] = "matched"
+        reasons[name] = reason_column
     covariance = np.tile(np.diag([0.2, 0.3, 0.4, 0.2, 0.3, 0.4]) ** 2, (count, 1, 1))
     segments = {
         name: Segments.from_endpoints(np.concatenate([uv[view], spurious[view]]))
@@ -203,9 +203,9 @@ def made_up_matches(rig: Rig) -> tuple[dict[str, Segments], Matches]:
 def made_up_scene_pictures(segments: Mapping[str, Segments]) -> dict[str, np.ndarray]:
     """Grey pictures with the segments drawn in."""
     pictures = {}
-    for name, found in segments.items():
+    for name, view_segments in segments.items():
         picture = np.full((480, 512), 150, np.uint8)
-        for first, second in np.asarray(found.endpoints_px).round().astype(int):
+        for first, second in np.asarray(view_segments.endpoints_px).round().astype(int):
             cv2.line(picture, first.tolist(), second.tolist(), 60, 1, cv2.LINE_AA)
         pictures[name] = cv2.GaussianBlur(picture, (0, 0), 0.8)
     return pictures

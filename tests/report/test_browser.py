@@ -1,4 +1,4 @@
-"""The page in a browser: silent, alone, and lit in all places at once."""
+"""The page in a browser: no log, no requests, and one highlight in all figures."""
 
 import json
 from collections.abc import Iterator
@@ -59,7 +59,7 @@ def _metrics(driver: Any, width: int, *, mobile: bool = False) -> None:
 
 
 def _point(driver: Any, selector: str) -> None:
-    """The pointer over an element, as a hand would move it."""
+    """Move the pointer over an element."""
     action = __import__("selenium.webdriver", fromlist=["ActionChains"]).ActionChains(driver)
     element = driver.find_element("css selector", selector)
     driver.execute_script(_SCROLL, element)
@@ -69,12 +69,12 @@ def _point(driver: Any, selector: str) -> None:
 def test_nothing_is_logged_or_fetched(browser: Any) -> None:
     assert browser.get_log("browser") == []
     events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    asked = {
+    schemes = {
         event["params"]["request"]["url"].partition(":")[0]
         for event in events
         if event["method"] == "Network.requestWillBeSent"
     }
-    assert asked <= {"file", "data"}
+    assert schemes <= {"file", "data"}
 
 
 def test_a_track_under_the_pointer_is_lit_everywhere(browser: Any, matches: Matches) -> None:
@@ -96,7 +96,7 @@ def test_the_figure_in_space_points_back(browser: Any) -> None:
     canvas = browser.find_element("id", "space-figure")
     browser.execute_script(_SCROLL, canvas)
     # Every place of a coarse grid: some lie on a segment.
-    found = browser.execute_script(
+    lit = browser.execute_script(
         """const [canvas] = arguments;
         const { left, top, width, height } = canvas.getBoundingClientRect();
         for (let y = 20; y < height; y += 4) for (let x = 20; x < width; x += 4) {
@@ -107,8 +107,8 @@ def test_the_figure_in_space_points_back(browser: Any) -> None:
         } return null;""",
         canvas,
     )
-    assert found is not None
-    assert found[1].startswith(f"track {found[0]}, ")
+    assert lit is not None
+    assert lit[1].startswith(f"track {lit[0]}, ")
     _point(browser, "h1")
 
 
@@ -130,7 +130,7 @@ def test_keys_turn_the_figure_and_walk_through_the_segments(browser: Any) -> Non
 
 
 def test_a_slider_shows_one_height_at_a_time(browser: Any) -> None:
-    shown = """const block = document.querySelector('#field .levels');
+    script = """const block = document.querySelector('#field .levels');
         const input = block.querySelector('input');
         return [...Array(Number(input.max) + 1).keys()].map((at) => {
           input.value = at;
@@ -138,9 +138,9 @@ def test_a_slider_shows_one_height_at_a_time(browser: Any) -> None:
           const levels = [...block.querySelectorAll('[data-said]')];
           return [levels.filter((e) => e.offsetHeight > 0).map((e) => e.dataset.said),
                   block.querySelector('output').textContent]; });"""
-    found = browser.execute_script(shown)
-    assert len({said for _, said in found}) == len(found) > 5
-    assert all(levels == [said] for levels, said in found)
+    shown_levels = browser.execute_script(script)
+    assert len({height for _, height in shown_levels}) == len(shown_levels) > 5
+    assert all(levels == [height] for levels, height in shown_levels)
 
 
 def test_a_phone_shows_all_cameras_without_scrolling_sideways(browser: Any) -> None:
@@ -150,8 +150,8 @@ def test_a_phone_shows_all_cameras_without_scrolling_sideways(browser: Any) -> N
         "return [...document.querySelectorAll('.parameters td')]"
         ".map((e) => e.getBoundingClientRect()).map((r) => [r.left, r.right])"
     )
-    assert min(left for left, _ in cells) >= 0
-    assert max(right for _, right in cells) <= 390
+    assert min(left_px for left_px, _ in cells) >= 0
+    assert max(right_px for _, right_px in cells) <= 390
     _metrics(browser, 1280)
 
 

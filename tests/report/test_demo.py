@@ -17,9 +17,9 @@ from trinoc.synth import table1_rig
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    place = tmp_path_factory.mktemp("demo")
-    folder = place / "new" / "folder"
-    return run_command(["demo", "--out", str(folder), "--keep-inputs", "--json"], place)._replace(
+    parent = tmp_path_factory.mktemp("demo")
+    folder = parent / "new" / "folder"
+    return run_command(["demo", "--out", str(folder), "--keep-inputs", "--json"], parent)._replace(
         folder=folder
     )
 
@@ -37,9 +37,9 @@ def test_the_files_are_there(run: Run) -> None:
     results = {"report.html", "rig.json", "matches.npz"}
     assert {file.name for file in run.folder.iterdir()} == {*results, "inputs", "trinoc.toml"}
     inputs = {f"inputs/{kind}_{view}.png" for kind in ("sheet", "scene") for view in table1_rig()}
-    kept = {"inputs/sheet.json", "trinoc.toml", *inputs}
+    input_files = {"inputs/sheet.json", "trinoc.toml", *inputs}
     written = {str(Path(file).relative_to(run.folder)) for file in run.record["written"]}
-    assert written == results | kept
+    assert written == results | input_files
     assert all((run.folder / name).is_file() for name in written)
     page = (run.folder / "report.html").read_text(encoding="utf-8")
     # Four that are asked for, and the aim, which is not exact.
@@ -48,21 +48,21 @@ def test_the_files_are_there(run: Run) -> None:
 
 
 def test_every_parameter_is_within_the_aim(run: Run) -> None:
-    beside = run.record["table_1"]
-    assert len(beside) == 12
-    for name, found in beside.items():
+    comparison = run.record["table_1"]
+    assert len(comparison) == 12
+    for name, row in comparison.items():
         aim = 0.03 if name.endswith("_mm") else 0.005
-        assert abs(found["error"]) < aim, name
-        assert abs(found["error_over_sigma"]) < 5, name
+        assert abs(row["error"]) < aim, name
+        assert abs(row["error_over_sigma"]) < 5, name
 
 
 def test_the_rig_file_holds_what_was_printed(run: Run) -> None:
-    rig, known = load_rig(run.folder / "rig.json"), table1_rig()
-    for name in known:
+    rig, true_rig = load_rig(run.folder / "rig.json"), table1_rig()
+    for name in true_rig:
         printed = run.record["cameras"][name]["parameters"]
         assert rig[name].pan_deg == pytest.approx(printed["pan_deg"]["value"], abs=1e-9)
         assert rig.sigma(f"{name}.pan_deg") == pytest.approx(printed["pan_deg"]["sigma"])
-        assert rig[name].distance_mm == pytest.approx(known[name].distance_mm, abs=0.03)
+        assert rig[name].distance_mm == pytest.approx(true_rig[name].distance_mm, abs=0.03)
 
 
 def test_the_matches_file_holds_what_was_counted(run: Run) -> None:
@@ -105,9 +105,9 @@ def test_the_file_in_the_folder_stands_in_for_all_arguments(
     monkeypatch.chdir(run.folder)
     before = sorted(run.folder.iterdir())
     assert main(["calibrate", "--dry-run", "--quiet"]) == 0
-    said = capsys.readouterr().out
-    assert "upper: inputs/sheet_upper.png, 512 x 480 px" in said
-    assert "my-rig.json" in said
+    stdout = capsys.readouterr().out
+    assert "upper: inputs/sheet_upper.png, 512 x 480 px" in stdout
+    assert "my-rig.json" in stdout
     assert main(["match", "--rig", "rig.json", "--dry-run", "--json", "--quiet"]) == 0
     assert json.loads(capsys.readouterr().out)["would_write"] == ["my-matches.npz"]
     assert sorted(run.folder.iterdir()) == before

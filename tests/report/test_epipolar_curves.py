@@ -47,10 +47,10 @@ def rig_with(lens: AbstractLens) -> Rig:
 
 @in_float64
 def pixels(rig: Rig) -> np.ndarray:
-    """(n, v, 2) of points all over the field."""
+    """Images of points all over the field, (n, v, 2) px."""
     points = np.random.default_rng(4).uniform((-70, -70, -30), (70, 70, 30), (9, 3))
-    seen = [jax.vmap(project, in_axes=(None, 0))(camera, points) for _, camera in rig.items()]
-    return np.stack([np.asarray(view) for view in seen], axis=1)
+    views_px = [jax.vmap(project, in_axes=(None, 0))(camera, points) for _, camera in rig.items()]
+    return np.stack([np.asarray(view) for view in views_px], axis=1)
 
 
 def drawn(rig: Rig) -> EpipolarPart:
@@ -63,10 +63,12 @@ def drawn(rig: Rig) -> EpipolarPart:
 
 
 def distance_px(point: np.ndarray, curve: np.ndarray) -> float:
-    """To the nearest stroke of a curve."""
-    start, way = curve[:-1], np.diff(curve, axis=0)
-    share = np.clip(((point - start) * way).sum(1) / np.maximum((way**2).sum(1), 1e-12), 0, 1)
-    return float(np.linalg.norm(start + share[:, None] * way - point, axis=1).min())
+    """Distance in px from a point to the nearest stroke of a curve."""
+    start, strokes = curve[:-1], np.diff(curve, axis=0)
+    share = np.clip(
+        ((point - start) * strokes).sum(1) / np.maximum((strokes**2).sum(1), 1e-12), 0, 1
+    )
+    return float(np.linalg.norm(start + share[:, None] * strokes - point, axis=1).min())
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
@@ -90,7 +92,7 @@ def test_a_click_draws_the_line_of_its_point_through_any_lens(tmp_path) -> None:
     with chromium() as driver:
         driver.get(page.as_uri())
         # Every mark of the first picture is clicked; what the second then draws is read.
-        found = driver.execute_script("""
+        marks = driver.execute_script("""
             const [from, to] = document.querySelectorAll('svg[data-epipolar="scene"]');
             return [...from.querySelectorAll('.mark')].map((mark, k) => {
               const box = mark.getBoundingClientRect();
@@ -100,12 +102,12 @@ def test_a_click_draws_the_line_of_its_point_through_any_lens(tmp_path) -> None:
               return [partner.getAttribute('cx'), partner.getAttribute('cy'),
                       to.querySelector('.clicked path').getAttribute('d')];
             });""")
-    assert len(found) > 3, json.dumps(found)
-    for u, v, path in found:
-        strokes = np.array(
-            re.findall(r"M([^ML ]+) ([^ML ]+)L([^ML ]+) ([^ML ]+)", path), dtype=float
+    assert len(marks) > 3, json.dumps(marks)
+    for u, v, path_data in marks:
+        segments = np.array(
+            re.findall(r"M([^ML ]+) ([^ML ]+)L([^ML ]+) ([^ML ]+)", path_data), dtype=float
         )
         point = np.array([float(u), float(v)])
-        nearest = min(distance_px(point, stroke.reshape(2, 2)) for stroke in strokes)
+        nearest = min(distance_px(point, stroke.reshape(2, 2)) for stroke in segments)
         # A dot on the screen is a third of a pixel.
         assert nearest < 1.0

@@ -25,16 +25,16 @@ NAMES = [f"{view}.{name}" for view in VIEWS for name in PARAMETER_NAMES[:4]]
 EDGES = loose_segments(4, count=64, reach_mm=40.0).edges_mm
 
 
-def triangulated(matrices_px, uv_px, seen, sigma_px):
-    """Points (n, 3) of least squares of their images (n, v, 2), and their covariance."""
-    points, weight = np.zeros((len(uv_px), 3)), seen[:, :, None, None] / sigma_px**2
+def triangulated(matrices_px, uv_px, visible, sigma_px):
+    """Least-squares points (n, 3) of their images (n, v, 2), and their covariance."""
+    points, weight = np.zeros((len(uv_px), 3)), visible[:, :, None, None] / sigma_px**2
     for _ in range(6):
         image = np.einsum("vij,nj->nvi", matrices_px[:, :, :3], points) + matrices_px[:, :, 3]
-        seen_at = image[..., :2] / image[..., 2:]
-        jacobian = matrices_px[:, :2, :3] - seen_at[..., None] * matrices_px[:, 2:, :3]
+        projected_px = image[..., :2] / image[..., 2:]
+        jacobian = matrices_px[:, :2, :3] - projected_px[..., None] * matrices_px[:, 2:, :3]
         jacobian = jacobian / image[..., 2:, None]
         normal = np.einsum("nvki,nvkj->nij", weight * jacobian, jacobian)
-        gradient = np.einsum("nvki,nvk->ni", weight * jacobian, seen_at - uv_px)
+        gradient = np.einsum("nvki,nvk->ni", weight * jacobian, projected_px - uv_px)
         points = points - np.linalg.solve(normal, gradient[..., None])[..., 0]
     return points, np.linalg.inv(normal)
 
@@ -52,7 +52,7 @@ def rig_off_by(change=None):
 
 
 def made_matches(rig, *, seed=0, sigma_px=SIGMA_PX):
-    """Matches of the edges as the rig believes them, from pictures of the true rig."""
+    """Matches of the edges, triangulated with `rig` from images of the true rig."""
     generator = np.random.default_rng(seed)
     points = np.concatenate([EDGES, np.ones((*EDGES.shape[:2], 1))], axis=2)
     images = np.einsum("vij,tej->tvei", table1_rig().matrices_px, points)
@@ -60,21 +60,26 @@ def made_matches(rig, *, seed=0, sigma_px=SIGMA_PX):
     fragments = fragments + sigma_px * generator.normal(size=fragments.shape)
     count = len(EDGES)
     covariance = np.tile(sigma_px**2 * np.eye(4), (count, 3, 1, 1))
-    seen = np.ones((count, 3), dtype=bool)
-    seen[::4, 2] = False
+    visible = np.ones((count, 3), dtype=bool)
+    visible[::4, 2] = False
     ends = np.swapaxes(fragments, 1, 2).reshape(-1, 3, 2)
-    points, own = triangulated(rig.matrices_px, ends, np.repeat(seen, 2, axis=0), sigma_px)
-    both = np.zeros((count, 6, 6))
-    both[:, :3, :3], both[:, 3:, 3:] = own[::2], own[1::2]
-    index = np.where(seen, np.arange(count)[:, None], -1)
-    hidden = ~seen[:, :, None, None]
+    points, point_covariance = triangulated(
+        rig.matrices_px, ends, np.repeat(visible, 2, axis=0), sigma_px
+    )
+    end_covariances = np.zeros((count, 6, 6))
+    end_covariances[:, :3, :3], end_covariances[:, 3:, 3:] = (
+        point_covariance[::2],
+        point_covariance[1::2],
+    )
+    index = np.where(visible, np.arange(count)[:, None], -1)
+    hidden = ~visible[:, :, None, None]
     return Matches(
         VIEWS,
         index,
         np.where(hidden, np.nan, fragments),
         points.reshape(-1, 2, 3),
-        both,
-        np.where(seen.all(axis=1), "trinocular", "binocular"),
+        end_covariances,
+        np.where(visible.all(axis=1), "trinocular", "binocular"),
         np.linspace(0.3, 1.0, count),
         np.zeros(count),
         {view: np.full(count, "matched") for view in VIEWS},
@@ -95,22 +100,22 @@ def test_lines_follow_their_cameras_as_triangulation_does():
         along = along / np.linalg.norm(along, axis=1, keepdims=True)
         across = np.eye(3) - along[:, :, None] * along[:, None, :]
         difference = (lines.by_parameters[:, :, parameter] - numeric).reshape(-1, 2, 3)
-        off = np.einsum("tij,tej->tei", across, difference)
-        assert np.abs(off).max() < 0.02 * np.abs(numeric).max()
+        offsets_mm = np.einsum("tij,tej->tei", across, difference)
+        assert np.abs(offsets_mm).max() < 0.02 * np.abs(numeric).max()
 
 
 def test_errors_of_the_cameras_are_in_the_normalised_errors():
     generator = np.random.default_rng(9)
-    alone, both = [], []
+    track_variances, line_variances = [], []
     for seed in range(12):
         rig = rig_off_by(SIGMA * generator.normal(size=12))
         matches = made_matches(rig, seed=seed)
         lines = lines_of_rig(matches, rig)
-        alone.append(evaluate(matches, EDGES, tolerances_mm=(5.0,)).normalised.variance)
-        both.append(evaluate(lines, EDGES, tolerances_mm=(5.0,)).normalised.variance)
-    assert np.mean(alone) > 2
+        track_variances.append(evaluate(matches, EDGES, tolerances_mm=(5.0,)).normalised.variance)
+        line_variances.append(evaluate(lines, EDGES, tolerances_mm=(5.0,)).normalised.variance)
+    assert np.mean(track_variances) > 2
     # Cameras have twelve errors, which all lines share, 12 times.
-    assert np.mean(both) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (12 * 12)))
+    assert np.mean(line_variances) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (12 * 12)))
 
 
 def test_a_line_of_one_track_follows_the_cameras_as_the_track_does():
@@ -120,15 +125,17 @@ def test_a_line_of_one_track_follows_the_cameras_as_the_track_does():
     joined = join_collinear(matches, rig)
     lines = lines_of_form(matches, rig, "joined")
     alone = np.flatnonzero(joined.pieces == 1)
-    of = np.array([joined.tracks_of(line)[0] for line in alone])
+    track_of_line = np.array([joined.tracks_of(line)[0] for line in alone])
     assert len(alone) > 50
     # It is weighed anew among errors of several sizes, and moves across itself a little.
-    moved = lines.ends_mm[alone] - tracks.ends_mm[of]
-    way = tracks.ends_mm[of, 1] - tracks.ends_mm[of, 0]
-    np.testing.assert_allclose((moved @ way[:, :, None])[..., 0], 0.0, atol=1e-6)
+    moved = lines.ends_mm[alone] - tracks.ends_mm[track_of_line]
+    directions = tracks.ends_mm[track_of_line, 1] - tracks.ends_mm[track_of_line, 0]
+    np.testing.assert_allclose((moved @ directions[:, :, None])[..., 0], 0.0, atol=1e-6)
     sigma = np.sqrt(np.trace(lines.fragment_covariance_mm2[alone], axis1=1, axis2=2))
     assert (np.linalg.norm(moved, axis=(1, 2)) < sigma).all()
-    np.testing.assert_allclose(lines.by_parameters[alone], tracks.by_parameters[of], atol=1e-9)
+    np.testing.assert_allclose(
+        lines.by_parameters[alone], tracks.by_parameters[track_of_line], atol=1e-9
+    )
     assert 0 < len(lines_of_form(matches, rig, "corners")) <= len(matches)
 
 

@@ -19,7 +19,7 @@ WHOLE = bench_matches()
 
 
 def with_tracks(count: int, noise_scale: float = 1.0) -> Matches:
-    """Matches of which so many tracks are of three views."""
+    """Matches with a given number of tracks in three views."""
     stage = np.where(np.arange(len(WHOLE)) < count, TRINOCULAR, "binocular")
     return replace(WHOLE, stage=stage, noise_scale=noise_scale)
 
@@ -30,25 +30,25 @@ def doubted(matches: Matches) -> Matches:
 
 @given(st.lists(st.integers(0, 4) | st.none(), min_size=1, max_size=60))
 def test_a_chart_holds_every_frame(tracks):
-    known = [count for count in tracks if count is not None]
+    counts = [count for count in tracks if count is not None]
     frames = {str(k): None if n is None else with_tracks(n) for k, n in enumerate(tracks)}
     failures = {name: "no picture" for name, each in frames.items() if each is None}
-    if not known:
+    if not counts:
         with pytest.raises(InputError, match="Every frame failed"):
             frames_part(frames, failures)
         return
     part = frames_part(frames, failures)
     chart = part.charts[0]
-    lowest, median, highest = (chart.points * max(max(known), 1)).T
-    assert (np.nanmin(lowest), np.nanmax(highest)) == pytest.approx((min(known), max(known)))
+    lowest, median, highest = (chart.points * max(max(counts), 1)).T
+    assert (np.nanmin(lowest), np.nanmax(highest)) == pytest.approx((min(counts), max(counts)))
     assert (~(lowest > median) & ~(median > highest)).all()
     assert len(part.bad) == len(failures)
     assert {fate.name for fate in part.to_look_at if fate.problem == "no picture"} == set(failures)
     # The frame that is shown lies nearer the median than any other that worked.
     shown = frames[part.middle]
     assert shown is not None
-    own = int((shown.stage == TRINOCULAR).sum())
-    assert abs(own - np.median(known)) == min(abs(n - np.median(known)) for n in known)
+    track_count = int((shown.stage == TRINOCULAR).sum())
+    assert abs(track_count - np.median(counts)) == min(abs(n - np.median(counts)) for n in counts)
 
 
 def test_many_frames_share_columns_and_none_is_dropped():

@@ -55,7 +55,7 @@ class Page(HTMLParser):
             self.words.append(data)
 
     def attributes(self, name: str) -> list[str]:
-        return [value for _, found in self.elements if (value := found.get(name)) is not None]
+        return [value for _, attrs in self.elements if (value := attrs.get(name)) is not None]
 
     @property
     def text(self) -> str:
@@ -63,7 +63,7 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def whole(
+def page_html(
     result: CalibrationResult,
     sheet_pictures: dict[str, np.ndarray],
     segments: dict[str, Segments],
@@ -82,12 +82,12 @@ def whole(
     )
 
 
-def test_nothing_on_the_page_comes_from_elsewhere(whole: str) -> None:
-    page = Page(whole)
+def test_nothing_on_the_page_comes_from_elsewhere(page_html: str) -> None:
+    page = Page(page_html)
     for name in ("src", "href", "action", "data", "poster", "srcset"):
         for value in page.attributes(name):
             assert value.startswith(("#", "data:")), value[:80]
-    styles = "".join(re.findall(r"<style>(.*?)</style>", whole, flags=re.DOTALL))
+    styles = "".join(re.findall(r"<style>(.*?)</style>", page_html, flags=re.DOTALL))
     assert "url(" not in styles
     assert "@import" not in styles
     (policy,) = [v for v in page.attributes("content") if "default-src" in v]
@@ -95,8 +95,8 @@ def test_nothing_on_the_page_comes_from_elsewhere(whole: str) -> None:
     assert "http" not in policy
 
 
-def test_every_camera_and_parameter_is_shown_with_its_sigma(whole: str, rig: Rig) -> None:
-    page = Page(whole)
+def test_every_camera_and_parameter_is_shown_with_its_sigma(page_html: str, rig: Rig) -> None:
+    page = Page(page_html)
     assert page.attributes("data-parameter").__len__() == len(rig) * len(PARAMETERS)
     assert set(page.attributes("data-parameter")) == set(rig.parameters)
     for value in ("2.1430 ± 0.0013", "53.25200 ± 0.00080", "476.3690 ± 0.0045", "0.8720 ± 0.0011"):
@@ -104,9 +104,9 @@ def test_every_camera_and_parameter_is_shown_with_its_sigma(whole: str, rig: Rig
 
 
 def test_every_circle_and_track_is_drawn_in_every_view(
-    whole: str, result: CalibrationResult, matches: Matches
+    page_html: str, result: CalibrationResult, matches: Matches
 ) -> None:
-    page = Page(whole)
+    page = Page(page_html)
     circles = [c for c in page.attributes("class") if c.split()[0] == "circle"]
     assert len(circles) == sum(len(fit.detection) for fit in result.fits.values())
     assert "circle unused" in circles
@@ -114,17 +114,17 @@ def test_every_circle_and_track_is_drawn_in_every_view(
     assert len(strokes) == int((matches.index >= 0).sum())
 
 
-def test_a_track_has_one_colour_everywhere(whole: str, matches: Matches) -> None:
+def test_a_track_has_one_colour_everywhere(page_html: str, matches: Matches) -> None:
     inks: dict[str | None, set[str | None]] = {}
-    for tag, attributes in Page(whole).elements:
+    for tag, attributes in Page(page_html).elements:
         if tag == "g" and "--ink" in (attributes.get("style") or ""):
             inks.setdefault(attributes["data-track"], set()).add(attributes.get("style"))
     assert len(inks) == len(matches)
-    assert all(len(found) == 1 for found in inks.values())
+    assert all(len(styles) == 1 for styles in inks.values())
 
 
-def test_counts_and_reasons_are_shown(whole: str, matches: Matches) -> None:
-    text = Page(whole).text
+def test_counts_and_reasons_are_shown(page_html: str, matches: Matches) -> None:
+    text = Page(page_html).text
     for name, count in matches.counts.items():
         assert f"{name.replace('_', ' ')} {count}" in text
     assert "no partner in the zone 9 8 9" in text
@@ -132,22 +132,22 @@ def test_counts_and_reasons_are_shown(whole: str, matches: Matches) -> None:
     assert "precision 0.97" in text
 
 
-def test_three_pictures_of_a_quarter_megapixel_stay_small(whole: str) -> None:
-    assert len(whole) < 1_000_000
+def test_three_pictures_of_a_quarter_megapixel_stay_small(page_html: str) -> None:
+    assert len(page_html) < 1_000_000
 
 
-def test_a_segment_and_its_track_are_linked(whole: str, matches: Matches) -> None:
+def test_a_segment_and_its_track_are_linked(page_html: str, matches: Matches) -> None:
     """In the figure of all segments a matched one carries its track, the others are dashed."""
-    strokes = [a for tag, a in Page(whole).elements if tag == "g" and "data-words" in a]
-    found = [a for a in strokes if (a["data-words"] or "").startswith("segment")]
-    unmatched = [a for a in found if "unmatched" in (a["class"] or "")]
-    on_tracks = [a for a in found if "data-track" in a]
+    strokes = [a for tag, a in Page(page_html).elements if tag == "g" and "data-words" in a]
+    segments = [a for a in strokes if (a["data-words"] or "").startswith("segment")]
+    unmatched = [a for a in segments if "unmatched" in (a["class"] or "")]
+    on_tracks = [a for a in segments if "data-track" in a]
     assert len(on_tracks) == int((matches.index >= 0).sum())
-    assert len(unmatched) == len(found) - len(on_tracks) > 0
+    assert len(unmatched) == len(segments) - len(on_tracks) > 0
 
 
-def test_the_notes_of_a_camera_are_shown(whole: str) -> None:
-    assert "Circle 7 was left out as an outlier." in Page(whole).text
+def test_the_notes_of_a_camera_are_shown(page_html: str) -> None:
+    assert "Circle 7 was left out as an outlier." in Page(page_html).text
 
 
 def test_equal_inputs_give_equal_pages(
@@ -188,7 +188,9 @@ def test_pages_without_pictures_or_segments_stand(
 
 
 def test_no_matches_at_all_are_a_page_too(rig: Rig, segments: dict[str, Segments]) -> None:
-    words = {name: np.full(len(found), "no_partner") for name, found in segments.items()}
+    reasons = {
+        name: np.full(len(view_segments), "no_partner") for name, view_segments in segments.items()
+    }
     none = Matches(
         rig.names,
         np.zeros((0, 3), dtype=np.int64),
@@ -198,7 +200,7 @@ def test_no_matches_at_all_are_a_page_too(rig: Rig, segments: dict[str, Segments
         np.zeros(0, dtype="<U10"),
         np.zeros(0),
         np.zeros(0),
-        words,
+        reasons,
         {"candidates": 0},
     )
     text = Page(render_report(rig=rig, segments=segments, matches=none)).text
@@ -219,9 +221,9 @@ def test_names_cannot_break_the_page() -> None:
     assert "49" not in re.findall(r"<h1>(.*?)</h1>", text)[0]
 
 
-def test_the_figure_in_space_holds_every_track_once(whole: str, matches: Matches) -> None:
+def test_the_figure_in_space_holds_every_track_once(page_html: str, matches: Matches) -> None:
     (store,) = re.findall(
-        r'<script type="application/json" id="space-numbers">(.*?)</script>', whole
+        r'<script type="application/json" id="space-numbers">(.*?)</script>', page_html
     )
     figure = json.loads(store)
     three, two = (layer for layer in figure["layers"] if layer["role"] in ("three", "two"))
@@ -229,36 +231,36 @@ def test_the_figure_in_space_holds_every_track_once(whole: str, matches: Matches
     for layer in (three, two):
         for track, part in zip(layer["tracks"], layer["parts"], strict=True):
             np.testing.assert_allclose(part, matches.lines_mm[track].ravel(), atol=6e-4)
-    legend = Page(whole).text
-    for words in ("three or more views (28)", "two views (8)", "cameras", "sheet"):
-        assert words in legend
-    assert len(Page(whole).attributes("data-layer")) == len(figure["layers"])
+    legend = Page(page_html).text
+    for label in ("three or more views (28)", "two views (8)", "cameras", "sheet"):
+        assert label in legend
+    assert len(Page(page_html).attributes("data-layer")) == len(figure["layers"])
 
 
 def test_words_in_space_tell_both_ends_and_their_sigmas(rig: Rig, matches: Matches) -> None:
     (two,) = [layer for layer in space_figure(rig, None, matches).layers if layer.role == "two"]
-    track, words = two.tracks[1], two.descriptions[1]
-    assert words.startswith(f"track {track}, binocular")
+    track, description = two.tracks[1], two.descriptions[1]
+    assert description.startswith(f"track {track}, binocular")
     for point in matches.lines_mm[track]:
-        assert f"X {with_sigma(float(point[0]), 0.2)}" in words
-    assert "sigma across" in words
+        assert f"X {with_sigma(float(point[0]), 0.2)}" in description
+    assert "sigma across" in description
 
 
 def test_joined_lines_and_corners_can_be_shown(rig: Rig, matches: Matches) -> None:
     roles = [layer.role for layer in space_figure(rig, None, matches).layers]
     assert "corners" not in roles
     covariance = np.tile(0.04 * np.eye(4), (*matches.index.shape, 1, 1))
-    known = dataclasses.replace(
+    located = dataclasses.replace(
         matches,
         fragments_covariance_px2=covariance,
         viewpoint_dependent=np.arange(len(matches)) == 2,
     )
-    layers = {layer.role: layer for layer in space_figure(rig, None, known).layers}
+    layers = {layer.role: layer for layer in space_figure(rig, None, located).layers}
     assert not layers["joined"].shown
     corners = layers["corners"]
     assert len(corners.parts) == len(corners.descriptions) > 0
     assert "mm" in corners.descriptions[0]
-    assert Page(render_report(rig=rig, matches=known)).text.count("moves") == 1
+    assert Page(render_report(rig=rig, matches=located)).text.count("moves") == 1
 
 
 def test_lens_distortion_bends_the_epipolar_lines_through_their_points() -> None:
@@ -339,14 +341,14 @@ def test_cameras_of_a_world_without_a_sheet_have_a_place_and_a_direction(rig: Ri
     assert "viewing direction Z 1.0000 \N{MINUS SIGN}1.0000 0.0000" in text
     assert "Z up out of the sheet" not in text
     table = list_columns(office)
-    of = dict(
+    value_of = dict(
         zip(zip(table["camera"], table["parameter"], strict=True), table["value"], strict=True)
     )
     for (name, camera), turn in zip(office.items(), turns, strict=True):
-        direction = [of[name, f"direction_{axis}"] for axis in "xyz"]
+        direction = [value_of[name, f"direction_{axis}"] for axis in "xyz"]
         np.testing.assert_allclose(direction, turn[2])
-        place = [of[name, f"position_{axis}_mm"] for axis in "xyz"]
-        np.testing.assert_allclose(place, camera.centre_world_mm)
+        position = [value_of[name, f"position_{axis}_mm"] for axis in "xyz"]
+        np.testing.assert_allclose(position, camera.centre_world_mm)
         assert ("centre_world_mm=" in repr(camera)) == (not np.isfinite(camera.distance_mm))
     # Over a sheet nothing changes.
     assert "position X" not in Page(render_report(rig=rig)).text

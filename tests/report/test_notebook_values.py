@@ -129,8 +129,8 @@ def test_a_plot_is_made_of_axes_and_uses_those_given(values: list[Any]) -> None:
         assert first.has_data() or first.collections
         if not isinstance(drawn, np.ndarray):
             figure = plt.figure()
-            own = figure.add_subplot(projection="3d" if first.name == "3d" else None)
-            assert value.plot(own) is own
+            plot_axes = figure.add_subplot(projection="3d" if first.name == "3d" else None)
+            assert value.plot(plot_axes) is plot_axes
     plt.close("all")
 
 
@@ -143,9 +143,9 @@ def test_tracks_are_drawn_on_a_picture_too(matches: Matches) -> None:
 
 def numbers_of(page: str) -> dict[str, Any]:
     """The numbers of the figure on a page."""
-    found = re.search(r'<script type="application/json" id="space-numbers">(.*?)</script>', page)
-    assert found is not None
-    return json.loads(found[1])
+    match = re.search(r'<script type="application/json" id="space-numbers">(.*?)</script>', page)
+    assert match is not None
+    return json.loads(match[1])
 
 
 def test_the_figure_to_turn_is_that_of_the_report(

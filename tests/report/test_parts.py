@@ -160,25 +160,25 @@ def test_frusta_open_toward_what_the_cameras_see(rig: Rig) -> None:
 
 
 def test_a_far_segment_does_not_shrink_the_view(matches: Matches) -> None:
-    near = content_box(None, matches)
+    before = content_box(None, matches)
     lines = np.array(matches.lines_mm)
     lines[0] += 1e5
-    far = content_box(None, dataclasses.replace(matches, lines_mm=lines))
-    assert near is not None
-    assert far is not None
-    assert np.max(far.high_mm) < 2 * np.max(near.high_mm)
+    after = content_box(None, dataclasses.replace(matches, lines_mm=lines))
+    assert before is not None
+    assert after is not None
+    assert np.max(after.high_mm) < 2 * np.max(before.high_mm)
 
 
 @given(
     st.lists(st.tuples(st.floats(0, 20), st.floats(10, 30), st.text("abc", min_size=1)), max_size=9)
 )
 def test_no_two_names_of_cameras_meet(names: list[tuple[float, float, str]]) -> None:
-    placed = place_names(names, 2.0, 5.0)
-    for k, (x, y, name) in enumerate(placed):
+    placements = place_names(names, 2.0, 5.0)
+    for k, (x, y, name) in enumerate(placements):
         assert (x, name) == (names[k][0], names[k][2])
         assert y >= 5.0
         assert k or y == names[k][1]
-        for u, v, other in placed[:k]:
+        for u, v, other in placements[:k]:
             reach = LETTER_SHARE * 2.0 * (len(name) + len(other)) / 2
             assert abs(x - u) >= reach or abs(y - v) >= 1.9
 

@@ -1,4 +1,4 @@
-"""Static figures: everything that there is ends up on the axes, in pixels of the picture."""
+"""Static figures draw every value on the axes, in pixels of the picture."""
 
 from collections.abc import Iterator
 

@@ -31,7 +31,7 @@ def texts_of(table: ReportTable, rows: int | None = None) -> list[str]:
 
 
 def holds(html: str, texts: list[str]) -> bool:
-    """Whether the cells of a table stand one after the other in some HTML."""
+    """Return True if HTML contains these cells of a table in this order."""
     cells = cells_of(html)
     return any(cells[k : k + len(texts)] == texts for k in range(len(cells)))
 

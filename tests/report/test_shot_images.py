@@ -1,4 +1,4 @@
-"""Residuals on the images of shots: what is drawn is what was left, and the page stays small."""
+"""Residuals on the images of shots: the lines are exact, and the page stays small."""
 
 import re
 
@@ -13,7 +13,7 @@ from .test_shots import BOARD, SHOTS, SIZE_PX, made_up
 
 
 def lines_of(path: str) -> tuple[np.ndarray, np.ndarray]:
-    """Where the lines of a path begin, and how they go on."""
+    """Start points (n, 2) and steps (n, 2) of the lines of an SVG path."""
     numbers = np.array(re.findall(r"M(\S+) (\S+)l(\S+) (\S+?)(?=M|$)", path), dtype=float)
     numbers = numbers.reshape(-1, 4)
     return numbers[:, :2], numbers[:, 2:]
@@ -98,17 +98,17 @@ def test_places_left_out_are_marked_and_cut() -> None:
     assert figure.caption.endswith("px rms, 1 left out")
     _, step = lines_of(figure.residuals_left_out)
     assert step.tolist() == [[pytest.approx(0.2 * SIZE_PX[0], abs=0.1), 0.0]]
-    (whole,) = [each for each in part.cameras[0].figures if each.name == SHOTS[1]]
-    assert whole.caption.startswith("left out, ")
-    assert whole.residuals == ""
+    (left_out_figure,) = [each for each in part.cameras[0].figures if each.name == SHOTS[1]]
+    assert left_out_figure.caption.startswith("left out, ")
+    assert left_out_figure.residuals == ""
     assert "located wrongly and left out" in Page(render_report(result=changed)).text
 
 
 def test_the_page_holds_each_image_once_and_small() -> None:
     noise = np.random.default_rng(0).integers(0, 255, (1536, 2048, 3)).astype(np.uint8)
     result = made_up()
-    given = {name: dict.fromkeys(SHOTS, noise) for name in result.cameras}
-    text = render_report(result=result, shot_pictures=given)
+    images = {name: dict.fromkeys(SHOTS, noise) for name in result.cameras}
+    text = render_report(result=result, shot_pictures=images)
     bare = render_report(result=result)
     assert text.count("data:image/jpeg") == 36
     assert bare.count("data:image/jpeg") == 0
@@ -121,7 +121,7 @@ def test_the_page_holds_each_image_once_and_small() -> None:
 
 def test_detections_in_place_of_images_are_drawn_on_grey() -> None:
     result = made_up()
-    given = {name: dict.fromkeys(SHOTS, result.views[0].detection) for name in result.cameras}
-    part = shot_images_part(result, given)
+    images = {name: dict.fromkeys(SHOTS, result.views[0].detection) for name in result.cameras}
+    part = shot_images_part(result, images)
     assert part is not None
     assert part.pictures == []

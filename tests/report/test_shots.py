@@ -1,4 +1,4 @@
-"""The page about a rig from many shots: complete, safe, and its figures are what they say."""
+"""The page about a rig from many shots is complete and safe, and its figures are correct."""
 
 from pathlib import Path
 from typing import Any
@@ -30,10 +30,10 @@ HALVES = HalvesCheck(1.02, "left.fx", 1.1, 24)
 MIDDLES = np.stack(np.meshgrid(*(np.linspace(50, side - 50, 5) for side in SIZE_PX)), -1)
 
 
-def seen(
+def board_observation(
     camera: int, shot: int, random: np.random.Generator, *, used: bool = True
 ) -> BoardObservation:
-    """A board upright somewhere in the picture, in the corners at first."""
+    """A board upright in the image. The first shots place it in the corners."""
     corner = (
         np.array([(0, 0), (1, 0), (1, 1), (0, 1)][shot]) if shot < 4 else random.uniform(size=2)
     )
@@ -57,7 +57,7 @@ def made_up(**changes: Any) -> CalibrationResult:
     `status` is that of every camera, and `sigma_factor` goes into their fits.
     """
     random, rig = np.random.default_rng(5), made_up_rig()
-    views = tuple(seen(k, s, random) for k in range(3) for s in range(len(SHOTS)))
+    views = tuple(board_observation(k, s, random) for k in range(3) for s in range(len(SHOTS)))
     poses = np.tile(np.eye(3, 4), (len(SHOTS), 1, 1))
     poses[:, :, 3] = random.uniform(-60, 60, (len(SHOTS), 3))
     fields: dict[str, Any] = {
@@ -99,13 +99,13 @@ def made_up(**changes: Any) -> CalibrationResult:
     return CalibrationResult(status=dict.fromkeys(rig.names, status), fits=fits, **fields)
 
 
-def judged(result: CalibrationResult) -> Verdict:
-    seen = places_seen(result)
+def verdict_of(result: CalibrationResult) -> Verdict:
+    board_views = places_seen(result)
     verdict = find_verdict(
         Subject(
             shots=result,
-            coverage=coverage_by_boards(seen),
-            residuals=mean_residuals(seen)[0],
+            coverage=coverage_by_boards(board_views),
+            residuals=mean_residuals(board_views)[0],
             uncertainty=uncertainty_maps(result),
         )
     )
@@ -159,7 +159,7 @@ def test_a_fit_that_failed_shows_its_shots_and_no_rig() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "level", "says"),
+    ("changes", "level", "sentence"),
     [
         ({}, Level.GOOD, "px"),
         ({"gauge": ("left.pan_deg",)}, Level.BAD, "left.pan_deg"),
@@ -170,10 +170,10 @@ def test_a_fit_that_failed_shows_its_shots_and_no_rig() -> None:
         ({"sigma_factor": {"upper": 1.0, "right": 5.0, "left": 1.0}}, Level.CARE, "in right"),
     ],
 )
-def test_the_verdict_is_that_of_the_worst_check(changes, level, says) -> None:
-    verdict = judged(made_up(**changes))
+def test_the_verdict_is_that_of_the_worst_check(changes, level, sentence) -> None:
+    verdict = verdict_of(made_up(**changes))
     assert verdict.level is level
-    assert says in f"{verdict.reason} {' '.join(check.figure for check in verdict.checks)}"
+    assert sentence in f"{verdict.reason} {' '.join(check.figure for check in verdict.checks)}"
 
 
 def test_pictures_are_counted_by_what_became_of_them(result) -> None:
@@ -181,7 +181,7 @@ def test_pictures_are_counted_by_what_became_of_them(result) -> None:
     table = shot_table(made_up(views=views, failures={"left, 99": "too dark"}))
     roles = ("used", "left-out", "missing", "none")
     assert [count_shots(table, role) for role in roles] == [35, 1, 1, 2]
-    assert judged(made_up(views=views, refused=("00: moved.",))).level is Level.CARE
+    assert verdict_of(made_up(views=views, refused=("00: moved.",))).level is Level.CARE
 
 
 def test_a_board_in_all_corners_covers_the_picture(result) -> None:
@@ -217,18 +217,18 @@ def test_what_shots_held_out_and_the_next_one_say_is_shown(result) -> None:
 def test_the_halves_are_compared_over_the_field(result) -> None:
     difference = np.full((2, 25, 2), [0.03, 0.04])
     difference[1, 3] = np.nan
-    sigma, away = np.full((2, 25), 0.01), np.array([512.0, 1536.0])
+    sigma, distances_mm = np.full((2, 25), 0.01), np.array([512.0, 1536.0])
     fields = tuple(
-        FieldDifference(name, away, MIDDLES.reshape(-1, 2), difference, sigma)
+        FieldDifference(name, distances_mm, MIDDLES.reshape(-1, 2), difference, sigma)
         for name in result.cameras
     )
     with_maps = made_up(halves=HALVES._replace(over_field=fields))
-    near, far = halves_maps(with_maps)
-    assert [each.name for each in near] == list(result.cameras)
-    assert {(cell.text, cell.below) for cell in near[0].cells} == {
+    near_maps, far_maps = halves_maps(with_maps)
+    assert [each.name for each in near_maps] == list(result.cameras)
+    assert {(cell.text, cell.below) for cell in near_maps[0].cells} == {
         ("0.05", "3.5 \N{GREEK SMALL LETTER SIGMA}")
     }
-    assert far[0].cells[3].description == "no ray of the lens"
+    assert far_maps[0].cells[3].description == "no ray of the lens"
     page = Page(render_report(result=with_maps))
     for word in ("512 mm away, 3.54 sigmas rms", "1536 mm away", "Two halves"):
         assert word in page.text
@@ -309,9 +309,9 @@ def test_pairs_of_cameras_stand_in_report_summary_and_record(result) -> None:
         assert with_sigma(pair.baseline_mm, pair.baseline_sigma_mm) in page.text
     lines = [line for line in result.summary().splitlines() if ": baseline " in line]
     assert [line.partition(":")[0] for line in lines] == ["upper to right", "upper to left"]
-    alone = made_up(solution=None, status=Status.NOT_CONVERGED)
-    assert rig_record(alone)["pairs"] == []
-    assert "stand to each other" not in render_report(result=alone)
+    without_covariance = made_up(solution=None, status=Status.NOT_CONVERGED)
+    assert rig_record(without_covariance)["pairs"] == []
+    assert "stand to each other" not in render_report(result=without_covariance)
 
 
 def texts_of(level: FieldLevel) -> list[list[str]]:

@@ -17,7 +17,7 @@ from .conftest import PARAMETERS, TABLE_1
 
 
 def _moved(rig: Rig) -> Rig:
-    """The upper camera 0.0052 deg off in pan: four of its sigmas."""
+    """The rig with the upper camera's pan changed by 0.0052 deg, four of its sigmas."""
     camera = rig["upper"]
     _, tilt, swing, distance = TABLE_1["upper"]
     moved = Camera.from_degrees(
@@ -39,9 +39,9 @@ def test_errors_are_found_minus_known_in_sigmas(rig: Rig) -> None:
 
 
 def test_an_unknown_sigma_is_no_number_of_sigmas(rig: Rig) -> None:
-    bare = Rig(dict(rig.items()))
-    errors = parameter_errors(bare, rig)
-    assert all(math.isnan(found.over_sigma) for found in errors)
+    without_sigmas = Rig(dict(rig.items()))
+    errors = parameter_errors(without_sigmas, rig)
+    assert all(math.isnan(error.over_sigma) for error in errors)
     assert "not known" in errors_text(errors, "Table 1")
 
 
@@ -51,12 +51,12 @@ def test_columns_are_aligned() -> None:
 
 
 def test_reasons_add_up_and_numbers_in_them_do_not_count(matches: Matches) -> None:
-    words = np.array(["ambiguous with 3", "ambiguous with 12", "matched", "outside"])
-    changed = dataclasses.replace(matches, reasons=dict.fromkeys(matches.views, words))
+    reasons = np.array(["ambiguous with 3", "ambiguous with 12", "matched", "outside"])
+    changed = dataclasses.replace(matches, reasons=dict.fromkeys(matches.views, reasons))
     table = reasons_by_view(changed)
     assert list(table) == ["matched", "ambiguous with others", "outside"]
     for view in matches.views:
-        assert sum(counts[view] for counts in table.values()) == len(words)
+        assert sum(counts[view] for counts in table.values()) == len(reasons)
     assert reasons_text(changed).splitlines()[-1].split()[-4:] == ["segments", "4", "4", "4"]
 
 

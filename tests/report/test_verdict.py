@@ -1,4 +1,4 @@
-"""The verdict: the worst check decides, and what is not good says what to do."""
+"""The worst check decides the verdict, and every check that is not good has a remedy."""
 
 import dataclasses
 from pathlib import Path
@@ -43,8 +43,8 @@ def field(result: CalibrationResult, pictures: dict[str, PagePicture]) -> FieldP
     return part
 
 
-def judged(**given: Any) -> Verdict:
-    verdict = find_verdict(Subject(**given))
+def verdict_of(**fields: Any) -> Verdict:
+    verdict = find_verdict(Subject(**fields))
     assert verdict is not None
     return verdict
 
@@ -52,7 +52,7 @@ def judged(**given: Any) -> Verdict:
 def test_a_good_calibration_is_decided_by_how_well_a_place_is_known(
     result: CalibrationResult, coverage: tuple[Coverage, ...], field: FieldPart
 ) -> None:
-    verdict = judged(result=result, coverage=coverage, field=field)
+    verdict = verdict_of(result=result, coverage=coverage, field=field)
     assert verdict.level is Level.GOOD
     assert verdict.sentence == "You can use this rig."
     assert verdict.reason.startswith("± ")
@@ -61,15 +61,15 @@ def test_a_good_calibration_is_decided_by_how_well_a_place_is_known(
 
 def test_a_suspect_camera_decides_in_the_words_of_its_note(result: CalibrationResult) -> None:
     status = {**result.status, "left": Status.SUSPECT}
-    verdict = judged(result=dataclasses.replace(result, status=status))
+    verdict = verdict_of(result=dataclasses.replace(result, status=status))
     assert verdict.level is Level.BAD
     assert "2 of 3 cameras calibrated: left: suspect. Circle 7 was left out" in verdict.reason
 
 
 @pytest.mark.parametrize("why", ["Its residuals are a swirl.", ""], ids=["why", "a file without"])
 def test_matches_of_a_rig_that_was_doubted_ask_for_care(matches: Matches, why: str) -> None:
-    assert judged(matches=matches).level is Level.GOOD
-    verdict = judged(matches=matches, doubts={"upper": why})
+    assert verdict_of(matches=matches).level is Level.GOOD
+    verdict = verdict_of(matches=matches, doubts={"upper": why})
     assert verdict.sentence == "Use these matches with care."
     assert f"suspect. {why}".rstrip() in verdict.reason
 
@@ -79,14 +79,14 @@ def test_residuals_beyond_noise_ask_for_care_and_then_are_bad(result: Calibratio
         fit = dataclasses.replace(result.fits["right"], reduced_chi_square=chi_square)
         worse = dataclasses.replace(result, fits={**result.fits, "right": fit})
         (check,) = [
-            c for c in judged(result=worse).checks if c.question.startswith("Do the residuals")
+            c for c in verdict_of(result=worse).checks if c.question.startswith("Do the residuals")
         ]
         assert check.level is level
         assert "right" in check.explanation or chi_square < 1.03
 
 
 def test_views_that_disagree_ask_for_a_check_of_the_rig(matches: Matches) -> None:
-    verdict = judged(matches=dataclasses.replace(matches, noise_scale=2.5))
+    verdict = verdict_of(matches=dataclasses.replace(matches, noise_scale=2.5))
     assert verdict.level is Level.CARE
     assert verdict.reason.startswith("2.50 times")
     assert any("trinoc check" in check.remedy for check in verdict.checks)
@@ -96,7 +96,7 @@ def test_a_set_that_does_not_belong_to_its_rig_decides_in_the_words_of_its_note(
     matches: Matches,
 ) -> None:
     notes, counts = ("Most likely they are exchanged.",), matches.counts | {SUSPECT_SETS: 1}
-    verdict = judged(matches=dataclasses.replace(matches, notes=notes, counts=counts))
+    verdict = verdict_of(matches=dataclasses.replace(matches, notes=notes, counts=counts))
     assert verdict.level is Level.BAD
     assert verdict.reason == "SUSPECT: Most likely they are exchanged."
 
@@ -111,7 +111,7 @@ def test_the_page_has_the_verdict_of_the_matches_and_every_finding(matches: Matc
         changed = dataclasses.replace(matches, **change)
         assessment = assess_matches(changed)
         assert assessment.status is changed.status is status
-        verdict = judged(matches=changed)
+        verdict = verdict_of(matches=changed)
         assert (verdict.sentence, verdict.level) == (status.value, LEVEL_OF_STATUS[status])
         assert verdict.reason == assessment.deciding.reason
         rows = [(check.figure, check.explanation, check.remedy) for check in verdict.checks]
@@ -128,7 +128,7 @@ def test_coverage_is_the_share_that_the_circles_surround(
         assert 0.4 * box < figure.share < box
     for share, level in ((0.101, Level.GOOD), (0.099, Level.CARE)):
         covered = tuple(figure._replace(share=share) for figure in coverage)
-        assert judged(result=result, coverage=covered).level is level
+        assert verdict_of(result=result, coverage=covered).level is level
 
 
 def test_the_maps_show_what_the_library_says(
@@ -158,8 +158,8 @@ def test_the_maps_show_what_the_library_says(
 
 
 def test_a_rig_without_errors_has_no_maps(rig: Rig, pictures: dict[str, PagePicture]) -> None:
-    bare = Rig(dict(rig.items()))
-    assert field_part(bare, None, None, pictures) is None
+    without_sigmas = Rig(dict(rig.items()))
+    assert field_part(without_sigmas, None, None, pictures) is None
 
 
 def test_the_docs_say_every_limit() -> None:
@@ -176,13 +176,16 @@ def test_the_docs_say_every_limit() -> None:
         (line,) = (line for line in rows if line.startswith(f"| {question} |"))
         assert numbers[topic] in line
     for row in CHECKS:
-        said = [line for line in rows if line.startswith(f"| {row.question} |")]
-        assert said, row.question
+        rows_of_check = [line for line in rows if line.startswith(f"| {row.question} |")]
+        assert rows_of_check, row.question
         limits = [x for x in (row.good, row.bad) if x is not None and 0 < x < np.inf]
-        words = [
+        limit_texts = [
             f"{100 * x:.0f} %" if row.at_least else f"{x:.2g}".removeprefix("0") for x in limits
         ]
-        assert any(all(word in line for word in words) for line in said), (row.question, words)
+        assert any(all(text in line for text in limit_texts) for line in rows_of_check), (
+            row.question,
+            limit_texts,
+        )
 
 
 def test_labels_stand_beside_their_lines_and_not_on_each_other() -> None:
@@ -190,12 +193,12 @@ def test_labels_stand_beside_their_lines_and_not_on_each_other() -> None:
     random = np.random.default_rng(5)
     first = random.uniform(40, 440, size=(60, 2))
     lines = np.stack([first, first + random.normal(scale=25, size=(60, 2))], axis=1)
-    placed = place_labels([str(k) for k in range(60)], lines, window)
-    assert 20 < len(placed) <= 60
-    boxes = np.array([(p.u, p.v, len(p.text) * LETTER / 2, HEIGHT / 2) for p in placed])
+    labels = place_labels([str(k) for k in range(60)], lines, window)
+    assert 20 < len(labels) <= 60
+    boxes = np.array([(p.u, p.v, len(p.text) * LETTER / 2, HEIGHT / 2) for p in labels])
     for row, (u, v, width, height) in enumerate(boxes):
         others = np.delete(boxes, row, axis=0)
-        apart = (abs(others[:, 0] - u) >= others[:, 2] + width - 1e-9) | (
+        is_separate = (abs(others[:, 0] - u) >= others[:, 2] + width - 1e-9) | (
             abs(others[:, 1] - v) >= others[:, 3] + height - 1e-9
         )
-        assert apart.all()
+        assert is_separate.all()

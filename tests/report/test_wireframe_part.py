@@ -1,4 +1,4 @@
-"""A wire frame shows itself: as a card, a plot, a figure to turn and a table."""
+"""A wireframe has a notebook card, a plot, a 3-D figure and a table."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -33,9 +33,12 @@ def test_the_figure_has_every_edge_vertex_and_face_once() -> None:
         "corners (5)": 5,
         "free ends (2)": 2,
     }
-    words = [word for layer in figure.layers for word in layer.descriptions]
-    assert len(words) == len(FRAME) + len(FRAME.vertices_mm)
-    assert any(word.startswith("edge 0: length 30") and "tracks 0, 1" in word for word in words)
+    descriptions = [description for layer in figure.layers for description in layer.descriptions]
+    assert len(descriptions) == len(FRAME) + len(FRAME.vertices_mm)
+    assert any(
+        description.startswith("edge 0: length 30") and "tracks 0, 1" in description
+        for description in descriptions
+    )
     low, high = figure.views[0].box
     assert (low < FRAME.vertices_mm.min(axis=0)).all()
     assert (high > FRAME.vertices_mm.max(axis=0)).all()
@@ -66,16 +69,16 @@ def test_it_is_drawn(tmp_path) -> None:
 
 
 def squares(count: int) -> Wireframe:
-    """As many squares in one plane, of four edges each."""
+    """A wireframe of `count` squares in one plane, with four edges each."""
     corners = np.array([[0.0, 0, 0], [9, 0, 0], [9, 9, 0], [0, 9, 0]])
-    places = (corners + np.arange(count)[:, None, None] * [20.0, 0, 0]).reshape(-1, 3)
+    vertices_mm = (corners + np.arange(count)[:, None, None] * [20.0, 0, 0]).reshape(-1, 3)
     first = 4 * np.arange(count)[:, None]
     edges = np.stack(
         [first + np.array([0, 1, 2, 0]), first + np.array([1, 2, 3, 3])], axis=2
     ).reshape(-1, 2)
     vertices, lines = 4 * count, 4 * count
     return Wireframe(
-        vertices_mm=places,
+        vertices_mm=vertices_mm,
         corner=np.ones(vertices, dtype=bool),
         vertex_chi_square=np.zeros(vertices),
         vertex_degrees=np.zeros(vertices, dtype=np.int64),
@@ -100,13 +103,13 @@ def squares(count: int) -> Wireframe:
 
 
 def several_rims(count: int) -> Rims:
-    """The rims of `made_rims` again and again."""
+    """The rims of `made_rims`, repeated."""
     return made_rims().take(np.arange(count) % 2)
 
 
 @pytest.mark.parametrize("make", [squares, several_rims])
 def test_no_loop_reads_what_a_property_computes(make, tmp_path, monkeypatch) -> None:
-    """Whatever shows or writes features computes their columns as often for many as for few."""
+    """Each output of features reads a property equally often for many features as for few."""
     reads = Counter()
 
     def count_reads(kind: type, name: str, compute: Callable) -> property:
@@ -130,8 +133,8 @@ def test_no_loop_reads_what_a_property_computes(make, tmp_path, monkeypatch) -> 
         features._repr_html_()
         for name in ("ply", "obj", "dxf", "gltf", *(["json"] if make is squares else [])):
             file_format = FORMATS[name]
-            place = tmp_path / f"{len(features)}-{name}{file_format.endings[0]}"
-            file_format.save(features, place)
+            path = tmp_path / f"{len(features)}-{name}{file_format.endings[0]}"
+            file_format.save(features, path)
         trinoc.save(features, tmp_path / f"{len(features)}.npz")
         return Counter(reads)
 

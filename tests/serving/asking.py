@@ -5,7 +5,7 @@ from urllib.parse import urlsplit
 
 
 def ask(url: str, path: str = "/", **headers: str) -> tuple[int, str]:
-    """(status, text); underscores of header names stand for hyphens."""
+    """Send a request and return (status, text). Underscores in header names become hyphens."""
     connection = http.client.HTTPConnection(urlsplit(url).netloc, timeout=20)
     try:
         named = {name.replace("_", "-"): value for name, value in headers.items()}

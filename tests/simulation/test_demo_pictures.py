@@ -53,7 +53,7 @@ def test_the_sheet_is_the_default_pattern():
 
 
 def test_two_renderers_put_the_sheet_in_one_place():
-    """Phase correlation of POV-Ray's picture and of ours, edges enhanced."""
+    """Compare POV-Ray's picture and trinoc's by phase correlation of their enhanced edges."""
     view = "left"
     picture = read_image(POV_RAY).astype(np.float64)
     ours = render_sheet(demo_pattern(), RIG[view], bits=None)
@@ -76,20 +76,22 @@ def test_the_truth_is_the_scene_s():
     np.testing.assert_allclose(truth.edges_mm, scene.edges_mm, atol=1e-6)
     assert truth.edge_kinds == scene.edge_kinds
     for view, camera in RIG.items():
-        parts, seen = scene.seen_by(camera), truth.seen[view]
+        parts, visible_edges = scene.seen_by(camera), truth.seen[view]
         for edge in range(len(scene.edges_mm)):
             visible = np.sum(np.diff(parts.extent[parts.segment == edge]))
-            listed = np.sum(np.diff(seen.extent[seen.edge == edge]))
+            listed = np.sum(np.diff(visible_edges.extent[visible_edges.edge == edge]))
             assert listed == pytest.approx(visible, abs=1e-4)
 
 
 def test_edges_step_the_way_the_truth_says():
-    """The grey levels of the noisy pictures, beside the long edges of strong contrast."""
+    """Compare grey levels of the noisy pictures on both sides of long edges of strong contrast."""
     truth = demo_truth()
     for view, picture in demo_images("scene").items():
-        seen, camera = truth.seen[view], RIG[view]
+        visible_edges, camera = truth.seen[view], RIG[view]
         compared = 0
-        for edge, extent, step in zip(seen.edge, seen.extent, seen.grey_step, strict=True):
+        for edge, extent, step in zip(
+            visible_edges.edge, visible_edges.extent, visible_edges.grey_step, strict=True
+        ):
             middle = np.linspace(extent[0], extent[1], 12)[3:-3]
             points = points_along(truth.edges_mm[[edge]], middle[None])[0]
             uv = points @ camera.matrix_px[:, :3].T + camera.matrix_px[:, 3]
@@ -97,9 +99,10 @@ def test_edges_step_the_way_the_truth_says():
             along = uv[-1] - uv[0]
             if np.hypot(*along) < 12 or abs(step) < 30:
                 continue
-            left = 2.0 * np.array([along[1], -along[0]]) / np.hypot(*along)
+            left_normal = 2.0 * np.array([along[1], -along[0]]) / np.hypot(*along)
             levels = [
-                picture[tuple(np.rint(uv + s * left).astype(int).T[::-1])].mean() for s in (1, -1)
+                picture[tuple(np.rint(uv + s * left_normal).astype(int).T[::-1])].mean()
+                for s in (1, -1)
             ]
             assert np.sign(levels[0] - levels[1]) == np.sign(step)
             compared += 1
@@ -109,9 +112,9 @@ def test_edges_step_the_way_the_truth_says():
 def test_truth_files_round_trip(tmp_path):
     truth = demo_truth()
     save_scene_truth(truth, tmp_path / "truth.json", {"seed": 3})
-    again = load_scene_truth(tmp_path / "truth.json")
-    np.testing.assert_array_equal(again.edges_mm, truth.edges_mm)
-    assert again.edge_kinds == truth.edge_kinds
+    loaded = load_scene_truth(tmp_path / "truth.json")
+    np.testing.assert_array_equal(loaded.edges_mm, truth.edges_mm)
+    assert loaded.edge_kinds == truth.edge_kinds
     np.testing.assert_array_equal(
-        shown_parts_mm(again, grey_step=8.0), shown_parts_mm(truth, grey_step=8.0)
+        shown_parts_mm(loaded, grey_step=8.0), shown_parts_mm(truth, grey_step=8.0)
     )

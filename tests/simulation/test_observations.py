@@ -1,4 +1,4 @@
-"""Made segments lie where their edges are imaged, and err as they are told to."""
+"""Simulated segments lie on the images of their edges and have the requested errors."""
 
 import numpy as np
 import pytest
@@ -19,9 +19,9 @@ def images(name, truth, chosen):
     return image[..., :2] / image[..., 2:]
 
 
-def offsets(found, true):
-    """Of each end from the true one, in whichever order fits."""
-    straight, turned = found - true, found[:, ::-1] - true
+def offsets(estimated, true_ends):
+    """Offsets of each end from its true end, in the order of ends that fits better."""
+    straight, turned = estimated - true_ends, estimated[:, ::-1] - true_ends
     fits = np.abs(straight).sum(axis=(1, 2)) < np.abs(turned).sum(axis=(1, 2))
     return np.where(fits[:, None, None], straight, turned)
 
@@ -30,8 +30,8 @@ def test_a_perfect_detector_gives_the_images_of_what_is_seen():
     segments, truth = simulate_segments(demo_scene(cylinder_sides=12), RIG, PERFECT, seed=1)
     for name in RIG:
         real = truth.edge_of[name] >= 0
-        found = np.asarray(segments[name].endpoints_px)[real]
-        np.testing.assert_allclose(offsets(found, images(name, truth, real)), 0.0, atol=1e-6)
+        ends = np.asarray(segments[name].endpoints_px)[real]
+        np.testing.assert_allclose(offsets(ends, images(name, truth, real)), 0.0, atol=1e-6)
         assert np.sum(truth.edge_of[name] == NOT_SCORED) == 2
         assert not np.any(truth.edge_of[name] == SPURIOUS)
 
@@ -52,8 +52,8 @@ def test_end_points_scatter_by_their_sigma():
 
 
 def test_shares_are_those_asked_for():
-    whole, _ = simulate_segments(SCENE, RIG, PERFECT, seed=3)
-    count = sum(len(whole[name]) for name in RIG)
+    complete, _ = simulate_segments(SCENE, RIG, PERFECT, seed=3)
+    count = sum(len(complete[name]) for name in RIG)
     missing, _ = simulate_segments(SCENE, RIG, Detector(0.0, 0.0, 0.0, 0.3, 0.0, 0.0), seed=3)
     # Of three views one misses the edge: a share of 0.3 takes a tenth of all segments.
     lost = 1 - sum(len(missing[name]) for name in RIG) / count
@@ -69,27 +69,32 @@ def test_shares_are_those_asked_for():
 def test_ends_are_cut_back_and_never_beyond():
     detector = Detector(0.0, 0.0, 0.0, 0.0, 5.0, 0.0)
     segments, _ = simulate_segments(SCENE, RIG, detector, seed=4)
-    whole, _ = simulate_segments(SCENE, RIG, PERFECT, seed=4)
+    complete, _ = simulate_segments(SCENE, RIG, PERFECT, seed=4)
     for name in RIG:
-        total = np.sum(whole[name].length_px) - np.sum(segments[name].length_px)
-        assert 0 < total / len(whole[name]) < 10
+        total = np.sum(complete[name].length_px) - np.sum(segments[name].length_px)
+        assert 0 < total / len(complete[name]) < 10
 
 
 def test_observations_repeat_by_seed():
-    first, again, other = (simulate_segments(SCENE, RIG, Detector(), seed=s)[0] for s in (6, 6, 7))
+    first, repeated, other = (
+        simulate_segments(SCENE, RIG, Detector(), seed=s)[0] for s in (6, 6, 7)
+    )
     for name in RIG:
-        np.testing.assert_array_equal(first[name].endpoints_px, again[name].endpoints_px)
+        np.testing.assert_array_equal(first[name].endpoints_px, repeated[name].endpoints_px)
     assert len(first["left"]) != len(other["left"]) or not np.array_equal(
         first["left"].endpoints_px, other["left"].endpoints_px
     )
 
 
 def test_segments_state_the_sigma_that_they_were_drawn_with() -> None:
-    found, _ = simulate_segments(SCENE, RIG, Detector(end_sigma_px=0.7), seed=2)
-    for segments in found.values():
+    segments_by_view, _ = simulate_segments(SCENE, RIG, Detector(end_sigma_px=0.7), seed=2)
+    for segments in segments_by_view.values():
         ends = np.asarray(segments.endpoints_px)
-        way = ends[:, 1] - ends[:, 0]
-        normal = np.stack([-way[:, 1], way[:, 0]], axis=1) / np.linalg.norm(way, axis=1)[:, None]
+        directions = ends[:, 1] - ends[:, 0]
+        normal = (
+            np.stack([-directions[:, 1], directions[:, 0]], axis=1)
+            / np.linalg.norm(directions, axis=1)[:, None]
+        )
         blocks = np.asarray(segments.covariance_px2).reshape(-1, 2, 2, 2, 2)
         across = np.einsum("ni,neiej,nj->ne", normal, blocks, normal)
         np.testing.assert_allclose(across, 0.7**2, rtol=1e-6)

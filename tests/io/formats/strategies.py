@@ -35,17 +35,21 @@ def lenses(draw: st.DrawFn, coefficients: int = 5, skew: bool = False) -> Intrin
 
 @st.composite
 def rigs(
-    draw: st.DrawFn, coefficients: int = 5, skew: bool = False, fewest: int = 1, most: int = 4
+    draw: st.DrawFn,
+    coefficients: int = 5,
+    skew: bool = False,
+    min_cameras: int = 1,
+    max_cameras: int = 4,
 ) -> Rig:
-    """Cameras around the sheet."""
-    names = draw(st.lists(NAMES, min_size=fewest, max_size=most, unique=True))
+    """Rigs of cameras around the sheet."""
+    names = draw(st.lists(NAMES, min_size=min_cameras, max_size=max_cameras, unique=True))
     members = {name: draw(cameras(draw(lenses(coefficients, skew)))) for name in names}
     assume(are_apart(members))
     return Rig(members)
 
 
 def pixels(camera: Camera, points: np.ndarray = CORNERS) -> np.ndarray:
-    """Where a camera images points."""
+    """Pixel coordinates of the images of points, (n, 2)."""
     return np.asarray(jax.vmap(project, (None, 0))(camera, points))
 
 

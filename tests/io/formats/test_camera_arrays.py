@@ -35,11 +35,11 @@ def fisheye_rig() -> Rig:
 
 def by_opencv(points, rotation_vector, translation, matrix, distortion, fisheye=False):
     rotation, _ = cv2.Rodrigues(np.asarray(rotation_vector, dtype=np.float64))
-    seen = points @ rotation.T + np.ravel(translation)
-    still, lens = np.zeros(3), (np.asarray(matrix), np.ravel(distortion))
+    points_cam = points @ rotation.T + np.ravel(translation)
+    zeros, lens = np.zeros(3), (np.asarray(matrix), np.ravel(distortion))
     if fisheye:
-        return cv2.fisheye.projectPoints(seen[None], still, still, *lens)[0].reshape(-1, 2)
-    return cv2.projectPoints(seen, still, still, *lens)[0].reshape(-1, 2)
+        return cv2.fisheye.projectPoints(points_cam[None], zeros, zeros, *lens)[0].reshape(-1, 2)
+    return cv2.projectPoints(points_cam, zeros, zeros, *lens)[0].reshape(-1, 2)
 
 
 @pytest.mark.parametrize("rig", [RIG, fisheye_rig()], ids=["perspective", "fisheye"])
@@ -50,8 +50,8 @@ def test_tables_are_arguments_of_opencv(tmp_path, name, unit_mm, rig):
     tables = document["cameras"].values() if name == "caliscope" else document.values()
     tables = [table for table in tables if "matrix" in table]
     assert len(tables) == 3
-    for table, (own, camera) in zip(tables, rig.items(), strict=True):
-        assert table.get("name", own) == own
+    for table, (camera_name, camera) in zip(tables, rig.items(), strict=True):
+        assert table.get("name", camera_name) == camera_name
         assert tuple(table["size"]) == camera.image_size_px
         keys = ("rotation", "translation", "matrix", "distortions", "fisheye")
         images = by_opencv(CORNERS / unit_mm, *(table[key] for key in keys))
@@ -96,7 +96,7 @@ def test_freemocap_s_file_is_read(tmp_path):
 
 
 def test_caliscope_s_earlier_files_are_read(tmp_path):
-    """With numbers of quarter turns, matrices for rotations, and tables of other things."""
+    """Such a file has counts of quarter turns, rotation matrices and unrelated tables."""
     FORMATS["caliscope"].save(RIG, tmp_path / "rig.toml")
     before = FORMATS["caliscope"].load(tmp_path / "rig.toml")
     text = (tmp_path / "rig.toml").read_text().replace("[cameras.", "[cam_")
@@ -111,9 +111,9 @@ def test_caliscope_s_earlier_files_are_read(tmp_path):
     ignored = '[cam_7]\nsize = [4, 3]\nignore = true\nrotation = "null"\n'
     text = f"CreationDate = 2023-05-06T11:12:27\n{text}\n{others}{ignored}"
     (tmp_path / "rig.toml").write_text(text)
-    back = FORMATS["caliscope"].load(tmp_path / "rig.toml")
-    assert back.names == before.names == ("cam_0", "cam_1", "cam_2")
-    for camera, other in zip(back.cameras, before.cameras, strict=True):
+    loaded = FORMATS["caliscope"].load(tmp_path / "rig.toml")
+    assert loaded.names == before.names == ("cam_0", "cam_1", "cam_2")
+    for camera, other in zip(loaded.cameras, before.cameras, strict=True):
         np.testing.assert_allclose(pixels(camera), pixels(other), rtol=0, atol=1e-8)
 
 
@@ -136,10 +136,10 @@ def test_multical_s_relative_poses_lead_from_the_first_camera(tmp_path):
         FORMATS["multical"].load(tmp_path / "calibration.json")
     document["camera_poses"][first] = {"R": np.eye(3).tolist(), "T": [0, 0, 0]}
     (tmp_path / "calibration.json").write_text(json.dumps(document))
-    back = FORMATS["multical"].load(tmp_path / "calibration.json")
-    assert back.names == RIG.names
+    loaded = FORMATS["multical"].load(tmp_path / "calibration.json")
+    assert loaded.names == RIG.names
     for name, camera in list(RIG.items())[1:]:
-        np.testing.assert_allclose(back[name].cam_from_world, camera.cam_from_world, atol=1e-9)
+        np.testing.assert_allclose(loaded[name].cam_from_world, camera.cam_from_world, atol=1e-9)
 
 
 def test_a_column_of_four_is_multical_s_fisheye(tmp_path):
@@ -148,8 +148,8 @@ def test_a_column_of_four_is_multical_s_fisheye(tmp_path):
     for name, dist in (("upper", [[0.1], [0.0], [0.0], [0.0]]), ("left", [0.1, 0.0, 0.0, 0.0])):
         document["cameras"][name]["dist"] = dist
     (tmp_path / "calibration.json").write_text(json.dumps(document))
-    back = FORMATS["multical"].load(tmp_path / "calibration.json")
-    models = [back[name].intrinsics.lens.model for name in ("upper", "left")]
+    loaded = FORMATS["multical"].load(tmp_path / "calibration.json")
+    models = [loaded[name].intrinsics.lens.model for name in ("upper", "left")]
     assert models == ["kannala_brandt", "brown_conrady"]
     with pytest.raises(InputError, match="kannala_brandt, which multical"):
         FORMATS["multical"].save(fisheye_rig(), tmp_path / "again.json")
@@ -204,7 +204,7 @@ def spoil(path, old, new):
 
 
 @pytest.mark.parametrize(
-    ("file", "old", "new", "says"),
+    ("file", "old", "new", "message"),
     [
         ("intri.yml", "W_upper: 512\n", "", "has no W_upper: add H_upper and W_upper"),
         ("extri.yml", r'- "upper"|"upper", ', "", 'does not name "upper"'),
@@ -212,15 +212,15 @@ def spoil(path, old, new):
         ("extri.yml", "R_upper", "Q_upper", '"upper.R" must be'),
     ],
 )
-def test_what_easymocap_s_files_lack_is_named(file, old, new, says, tmp_path):
+def test_what_easymocap_s_files_lack_is_named(file, old, new, message, tmp_path):
     FORMATS["easymocap"].save(RIG, tmp_path / "rig")
     spoil(tmp_path / "rig" / file, old, new)
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match=message):
         FORMATS["easymocap"].load(tmp_path / "rig")
 
 
 @pytest.mark.parametrize(
-    ("name", "old", "new", "says"),
+    ("name", "old", "new", "message"),
     [
         ("anipose", r"\[cam_0\]", "[cameras.0]", "import the file with the format caliscope"),
         ("anipose", "name = .*", 'name = "right"', "the name of an earlier camera"),
@@ -236,10 +236,10 @@ def test_what_easymocap_s_files_lack_is_named(file, old, new, says, tmp_path):
         ("multical", '"camera_poses"', '"poses"', "is missing, as in intrinsic.json"),
     ],
 )  # fmt: skip
-def test_what_a_file_lacks_is_named(name, old, new, says, tmp_path):
+def test_what_a_file_lacks_is_named(name, old, new, message, tmp_path):
     path = tmp_path / f"rig{FORMATS[name].endings[0]}"
     FORMATS[name].save(RIG, path)
     spoil(path, old, new)
-    with pytest.raises(InputError, match=says) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         FORMATS[name].load(path)
     assert str(path) in str(caught.value)

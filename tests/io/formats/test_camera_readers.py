@@ -28,10 +28,12 @@ def pose_of(camera: Camera) -> np.ndarray:
 
 
 def by_opencv(points, rotation, translation, matrix, distortion):
-    """Points of the world as cv2 projects them; the pose is applied here, exactly."""
-    seen = points @ np.asarray(rotation).T + np.ravel(translation)
-    still = np.zeros(3)
-    images, _ = cv2.projectPoints(seen, still, still, np.asarray(matrix), np.ravel(distortion))
+    """Images of world points by cv2. This function applies the pose exactly."""
+    points_cam = points @ np.asarray(rotation).T + np.ravel(translation)
+    zeros = np.zeros(3)
+    images, _ = cv2.projectPoints(
+        points_cam, zeros, zeros, np.asarray(matrix), np.ravel(distortion)
+    )
     return images.reshape(-1, 2)
 
 
@@ -47,8 +49,8 @@ def test_opencv_reads_its_rig(tmp_path, ending):
         size = [int(node.getNode(key).real()) for key in ("image_width", "image_height")]
         assert tuple(size) == camera.image_size_px
         keys = ("R", "T", "camera_matrix", "distortion_coefficients")
-        found = by_opencv(CORNERS, *(node.getNode(key).mat() for key in keys))
-        np.testing.assert_allclose(found, pixels(camera), **SAME)
+        images = by_opencv(CORNERS, *(node.getNode(key).mat() for key in keys))
+        np.testing.assert_allclose(images, pixels(camera), **SAME)
 
 
 def test_opencv_reads_two_cameras_as_a_stereo_pair(tmp_path):
@@ -56,27 +58,27 @@ def test_opencv_reads_two_cameras_as_a_stereo_pair(tmp_path):
     FORMATS["opencv"].save(pair, tmp_path / "stereo.yml")
     storage = cv2.FileStorage(str(tmp_path / "stereo.yml"), cv2.FILE_STORAGE_READ)
     first, second = pair.cameras
-    still = (np.eye(3), np.zeros(3))
+    identity = (np.eye(3), np.zeros(3))
     for camera, pose, keys in (
-        (first, still, ("M1", "D1")),
+        (first, identity, ("M1", "D1")),
         (second, [storage.getNode(key).mat() for key in ("R", "T")], ("M2", "D2")),
     ):
         lens = (storage.getNode(key).mat() for key in keys)
-        found = by_opencv(in_frame_of(first), *pose, *lens)
-        np.testing.assert_allclose(found, pixels(camera), **SAME)
+        images = by_opencv(in_frame_of(first), *pose, *lens)
+        np.testing.assert_allclose(images, pixels(camera), **SAME)
 
 
 def test_a_stereo_pair_of_opencv_s_sample_is_read(tmp_path):
-    """Without the list of cameras, as stereo_calib writes it."""
+    """The file has no list of cameras, like the files of OpenCV's stereo_calib."""
     pair = bench_rig(cameras=2)
     FORMATS["opencv"].save(pair, tmp_path / "stereo.json")
     document = json.loads((tmp_path / "stereo.json").read_text())
     del document["cameras"]
     (tmp_path / "stereo.json").write_text(json.dumps(document))
-    back = FORMATS["opencv"].load(tmp_path / "stereo.json")
-    assert back.names == ("left", "right")
+    loaded = FORMATS["opencv"].load(tmp_path / "stereo.json")
+    assert loaded.names == ("left", "right")
     np.testing.assert_allclose(
-        pixels(back["right"], in_frame_of(pair.cameras[0])), pixels(pair.cameras[1]), **SAME
+        pixels(loaded["right"], in_frame_of(pair.cameras[0])), pixels(pair.cameras[1]), **SAME
     )
 
 
@@ -104,8 +106,8 @@ def test_ros_files_say_the_lens_and_the_pose(tmp_path, read):
         assert entry["header"]["frame_id"] == "world"
         assert entry["child_frame_id"] == f"{name}_optical_frame"
         pose = entry["transform"]
-        place = np.array([pose["translation"][axis] for axis in "xyz"]) * 1000
-        np.testing.assert_allclose(place, camera.centre_world_mm, rtol=0, atol=1e-9)
+        centre_mm = np.array([pose["translation"][axis] for axis in "xyz"]) * 1000
+        np.testing.assert_allclose(centre_mm, camera.centre_world_mm, rtol=0, atol=1e-9)
         x, y, z, w = (pose["rotation"][axis] for axis in "xyzw")
         world_from_cam = np.array(
             [
@@ -116,19 +118,19 @@ def test_ros_files_say_the_lens_and_the_pose(tmp_path, read):
         )
         distortion = info["distortion_coefficients"]["data"]
         rotation = world_from_cam.T
-        found = by_opencv(CORNERS, rotation, -rotation @ place, matrix, distortion)
-        np.testing.assert_allclose(found, pixels(camera), **SAME)
+        images = by_opencv(CORNERS, rotation, -rotation @ centre_mm, matrix, distortion)
+        np.testing.assert_allclose(images, pixels(camera), **SAME)
 
 
 def test_tf_json_has_the_arguments_of_a_launch_file(tmp_path):
     FORMATS["tf"].save(RIG, tmp_path / "tf.json")
     document = json.loads((tmp_path / "tf.json").read_text())
-    words = document["static_transform_publisher"]["left"]
-    options = dict(zip(words[::2], words[1::2], strict=True))
+    arguments = document["static_transform_publisher"]["left"]
+    options = dict(zip(arguments[::2], arguments[1::2], strict=True))
     assert options["--frame-id"] == "world"
     assert options["--child-frame-id"] == "left_optical_frame"
-    place = [1000 * float(options[key]) for key in ("--x", "--y", "--z")]
-    np.testing.assert_allclose(place, RIG["left"].centre_world_mm, rtol=0, atol=1e-9)
+    centre_mm = [1000 * float(options[key]) for key in ("--x", "--y", "--z")]
+    np.testing.assert_allclose(centre_mm, RIG["left"].centre_world_mm, rtol=0, atol=1e-9)
 
 
 def test_frames_between_world_and_camera_are_followed(tmp_path):
@@ -144,10 +146,10 @@ def test_frames_between_world_and_camera_are_followed(tmp_path):
     )
     (tmp_path / "tf.json").write_text(json.dumps(document))
     lenses = {name: camera.intrinsics for name, camera in RIG.items()}
-    back = FORMATS["tf"].load(tmp_path / "tf.json", lenses=lenses)
+    loaded = FORMATS["tf"].load(tmp_path / "tf.json", lenses=lenses)
     moved = CORNERS @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]]) + (1000, 0, 500)
     for name, camera in RIG.items():
-        np.testing.assert_allclose(pixels(back[name], moved), pixels(camera), rtol=0, atol=1e-8)
+        np.testing.assert_allclose(pixels(loaded[name], moved), pixels(camera), rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("read", yaml_readers())
@@ -164,8 +166,8 @@ def test_kalibr_s_chain_leads_from_camera_to_camera(tmp_path, read):
         fx, fy, cx, cy = entry["intrinsics"]
         matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         points = in_frame_of(rig.cameras[0]) / 1000  # metres
-        found = by_opencv(points, pose[:3, :3], pose[:3, 3], matrix, entry["distortion_coeffs"])
-        np.testing.assert_allclose(found, pixels(camera), **SAME)
+        images = by_opencv(points, pose[:3, :3], pose[:3, 3], matrix, entry["distortion_coeffs"])
+        np.testing.assert_allclose(images, pixels(camera), **SAME)
 
 
 @pytest.mark.parametrize("name", ["colmap", "colmap-text"])
@@ -178,17 +180,17 @@ def test_pycolmap_projects_alike(tmp_path, name, coefficients):
     assert (model.num_rigs(), model.num_frames(), model.num_reg_images()) == (1, 1, 3)
     (one_rig,) = model.rigs.values()
     assert one_rig.num_sensors() == 3
-    for own, camera in rig.items():
-        image = model.find_image_with_name(own)
-        seen = CORNERS @ image.cam_from_world().matrix()[:, :3].T
-        seen = seen + image.cam_from_world().matrix()[:, 3]
-        found = model.cameras[image.camera_id].img_from_cam(seen)
-        np.testing.assert_allclose(found - 0.5, pixels(camera), **SAME)
+    for camera_name, camera in rig.items():
+        image = model.find_image_with_name(camera_name)
+        points_cam = CORNERS @ image.cam_from_world().matrix()[:, :3].T
+        points_cam = points_cam + image.cam_from_world().matrix()[:, 3]
+        images = model.cameras[image.camera_id].img_from_cam(points_cam)
+        np.testing.assert_allclose(images - 0.5, pixels(camera), **SAME)
 
 
 @pytest.mark.parametrize("write", ["write_text", "write_binary"])
 def test_a_model_that_pycolmap_writes_is_read(tmp_path, write):
-    """With its points, observations, and all the lens models that have a name here."""
+    """The model has points, observations and every lens model that trinoc supports."""
     pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed")
     for model_name in ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"):
         options = pycolmap.SyntheticDatasetOptions()
@@ -198,22 +200,22 @@ def test_a_model_that_pycolmap_writes_is_read(tmp_path, write):
         extra = {"SIMPLE_RADIAL": 1, "RADIAL": 2, "OPENCV": 4}.get(model_name, 0)
         focals = [1280.0] * (2 if model_name in ("PINHOLE", "OPENCV") else 1)
         options.camera_params = [*focals, 512.0, 384.0, *[0.01] * extra]
-        made = pycolmap.synthesize_dataset(options)
+        dataset = pycolmap.synthesize_dataset(options)
         folder = tmp_path / model_name
         folder.mkdir()
-        getattr(made, write)(str(folder))
-        back = FORMATS["colmap"].load(folder)
-        assert len(back) == made.num_reg_images() == 8
-        points = np.array([point.xyz for point in made.points3D.values()])
-        for image in made.images.values():
+        getattr(dataset, write)(str(folder))
+        loaded = FORMATS["colmap"].load(folder)
+        assert len(loaded) == dataset.num_reg_images() == 8
+        points = np.array([point.xyz for point in dataset.points3D.values()])
+        for image in dataset.images.values():
             matrix = image.cam_from_world().matrix()
-            seen = points @ matrix[:, :3].T + matrix[:, 3]
-            expected = made.cameras[image.camera_id].img_from_cam(seen) - 0.5
-            np.testing.assert_allclose(pixels(back[image.name], points), expected, **SAME)
+            points_cam = points @ matrix[:, :3].T + matrix[:, 3]
+            expected = dataset.cameras[image.camera_id].img_from_cam(points_cam) - 0.5
+            np.testing.assert_allclose(pixels(loaded[image.name], points), expected, **SAME)
 
 
 def test_a_cameramodel_is_what_mrcal_documents(tmp_path):
-    """A literal of Python, in metres; its lens is OpenCV's of the same number."""
+    """The file is a Python literal in metres. Its lens is OpenCV's with as many coefficients."""
     FORMATS["mrcal"].save(RIG, tmp_path / "models")
     for name, camera in RIG.items():
         model = ast.literal_eval((tmp_path / "models" / f"{name}.cameramodel").read_text())
@@ -223,19 +225,19 @@ def test_a_cameramodel_is_what_mrcal_documents(tmp_path):
         rotation, _ = cv2.Rodrigues(np.array(model["extrinsics"][:3]))
         translation = 1000 * np.array(model["extrinsics"][3:])
         matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-        found = by_opencv(CORNERS, rotation, translation, matrix, distortion)
-        np.testing.assert_allclose(found, pixels(camera), **SAME)
+        images = by_opencv(CORNERS, rotation, translation, matrix, distortion)
+        np.testing.assert_allclose(images, pixels(camera), **SAME)
 
 
 def read_by_debian(module, program, *arguments):
-    """What a program of Debian's Python prints as JSON; skips where its module is not there."""
-    alone = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    call = {"capture_output": True, "text": True, "env": alone}
+    """JSON output of a program run by Debian's Python. Skips if its module is not installed."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    call = {"capture_output": True, "text": True, "env": environment}
     if not DEBIAN.exists() or subprocess.run([DEBIAN, "-c", f"import {module}"], **call).returncode:
         pytest.skip(f"Debian's {module} is not installed")
-    done = subprocess.run([DEBIAN, "-c", program, *map(str, arguments)], **call)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    process = subprocess.run([DEBIAN, "-c", program, *map(str, arguments)], **call)
+    assert process.returncode == 0, process.stderr
+    return json.loads(process.stdout)
 
 
 def test_mrcal_projects_the_same_points_alike(tmp_path):
@@ -249,12 +251,12 @@ def test_mrcal_projects_the_same_points_alike(tmp_path):
     """
     FORMATS["mrcal"].save(RIG, tmp_path / "models")
     files = [tmp_path / "models" / f"{name}.cameramodel" for name in RIG]
-    for camera, found in zip(
+    for camera, images in zip(
         RIG.cameras,
         read_by_debian("mrcal", program, json.dumps(CORNERS.tolist()), *files),
         strict=True,
     ):
-        np.testing.assert_allclose(found, pixels(camera), **SAME)
+        np.testing.assert_allclose(images, pixels(camera), **SAME)
 
 
 def test_ros_reads_the_lens_of_each_camera(tmp_path):
@@ -267,14 +269,14 @@ def test_ros_reads_the_lens_of_each_camera(tmp_path):
     """
     FORMATS["ros"].save(RIG, tmp_path / "ros")
     files = [tmp_path / "ros" / f"{name}.yaml" for name in RIG]
-    for (name, camera), found in zip(
+    for (name, camera), parsed in zip(
         RIG.items(), read_by_debian("camera_calibration_parsers", program, *files), strict=True
     ):
-        assert found[:2] == [name, [*camera.image_size_px, "plumb_bob"]]
-        still = np.eye(3), np.zeros(3)
-        matrix, distortion = np.reshape(found[2], (3, 3)), found[3]
-        seen = by_opencv(in_frame_of(camera), *still, matrix, distortion)
-        np.testing.assert_allclose(seen, pixels(camera), **SAME)
+        assert parsed[:2] == [name, [*camera.image_size_px, "plumb_bob"]]
+        identity = np.eye(3), np.zeros(3)
+        matrix, distortion = np.reshape(parsed[2], (3, 3)), parsed[3]
+        images = by_opencv(in_frame_of(camera), *identity, matrix, distortion)
+        np.testing.assert_allclose(images, pixels(camera), **SAME)
 
 
 def test_matlab_s_rows_and_pixels_count_from_one(tmp_path):
@@ -284,10 +286,10 @@ def test_matlab_s_rows_and_pixels_count_from_one(tmp_path):
     first = RIG.cameras[0]
     for number, camera in enumerate(RIG.cameras[1:], 2):
         pair = loaded[f"stereoParams_{number}"]
-        seen = in_frame_of(first) @ pair["RotationOfCamera2"] + pair["TranslationOfCamera2"]
+        points_cam = in_frame_of(first) @ pair["RotationOfCamera2"] + pair["TranslationOfCamera2"]
         lens = pair["CameraParameters2"]
         assert tuple(lens["ImageSize"][::-1]) == camera.image_size_px
-        x, y = (seen[:, :2] / seen[:, 2:]).T
+        x, y = (points_cam[:, :2] / points_cam[:, 2:]).T
         r2 = x * x + y * y
         k1, k2, k3 = lens["RadialDistortion"]
         p1, p2 = lens["TangentialDistortion"]
@@ -300,8 +302,8 @@ def test_matlab_s_rows_and_pixels_count_from_one(tmp_path):
             ],
             axis=1,
         )
-        found = (distorted @ lens["IntrinsicMatrix"])[:, :2] - 1
-        np.testing.assert_allclose(found, pixels(camera), **SAME)
+        images = (distorted @ lens["IntrinsicMatrix"])[:, :2] - 1
+        np.testing.assert_allclose(images, pixels(camera), **SAME)
 
 
 def test_nerfstudio_s_cameras_look_back_along_z(tmp_path):
@@ -312,19 +314,19 @@ def test_nerfstudio_s_cameras_look_back_along_z(tmp_path):
         world_from_gl = np.array(frame["transform_matrix"])
         np.testing.assert_allclose(world_from_gl[:3, 3], camera.centre_world_mm, atol=1e-9)
         np.testing.assert_allclose(-world_from_gl[:3, 2], pose_of(camera)[2, :3], atol=1e-12)
-        seen = (CORNERS - world_from_gl[:3, 3]) @ world_from_gl[:3, :3]
-        assert (seen[:, 2] < 0).all()
-        seen = seen * (1, -1, -1)  # to y down, z forward
+        points_gl = (CORNERS - world_from_gl[:3, 3]) @ world_from_gl[:3, :3]
+        assert (points_gl[:, 2] < 0).all()
+        points_cam = points_cam * (1, -1, -1)  # to y down, z forward
         matrix = np.array(
             [[frame["fl_x"], 0, frame["cx"]], [0, frame["fl_y"], frame["cy"]], [0, 0, 1]]
         )
         distortion = [frame[key] for key in ("k1", "k2", "p1", "p2", "k3")]
-        found = by_opencv(seen, np.eye(3), np.zeros(3), matrix, distortion)
-        np.testing.assert_allclose(found - 0.5, pixels(camera), **SAME)
+        images = by_opencv(points_cam, np.eye(3), np.zeros(3), matrix, distortion)
+        np.testing.assert_allclose(images - 0.5, pixels(camera), **SAME)
 
 
 def test_a_pose_that_a_chain_states_twice_is_read_once(tmp_path):
-    """As calibrations of public data sets do, beside the poses from the inertial unit."""
+    """Public calibrations repeat the pose of the chain, beside poses from the inertial unit."""
     rig = bench_rig(coefficients=4)
     FORMATS["kalibr"].save(rig, tmp_path / "camchain.yaml")
     before = FORMATS["kalibr"].load(tmp_path / "camchain.yaml")

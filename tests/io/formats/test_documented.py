@@ -1,4 +1,4 @@
-"""The page about formats says what the registry says, row by row."""
+"""The table in the docs equals the registry of formats, row by row."""
 
 import re
 from pathlib import Path
@@ -25,31 +25,31 @@ SHORT = {
 
 
 def shorten(row):
-    for said, short in SHORT.items():
-        row = row.replace(said, short)
+    for sentence, short in SHORT.items():
+        row = row.replace(sentence, short)
     return row
 
 
 def row(form):
-    """A format as a row of the page's table."""
-    held = ", ".join(form.holds or form.reads) + ("" if form.reads else " (only written)")
-    held += "" if form.holds else " (only read)"
-    place = form.place + (f": {', '.join(form.endings)}" if form.endings else "")
+    """The table row of a format."""
+    contents = ", ".join(form.holds or form.reads) + ("" if form.reads else " (only written)")
+    contents += "" if form.holds else " (only read)"
+    location = form.place + (f": {', '.join(form.endings)}" if form.endings else "")
     unit = {None: "none", 1.0: "mm", 1000.0: "m"}[form.unit_mm]
     unit += "" if form.unit_is_fixed else ", or `--unit-mm`"
     unit = "stated by the file, or `--unit-mm`" if form.states_unit else unit
     lost = "; ".join(LOSSES[loss] for loss in form.loses) or "nothing"
-    return shorten(f"| `{form.name}` | {held} | {place} | {unit} | {form.frames} | {lost} |")
+    return shorten(f"| `{form.name}` | {contents} | {location} | {unit} | {form.frames} | {lost} |")
 
 
 def key_rows(form):
-    """A row for each map of a format, with the keys that its reader declares."""
-    for place, keys in form.keys.items():
+    """Yield one table row for each mapping of a format, with the keys that its reader declares."""
+    for location, keys in form.keys.items():
         cells = (
             ", ".join(f"`{key}`" for key in group)
             for group in (keys.read, keys.refused, keys.left_out)
         )
-        yield f"| `{form.name}` | {place} | {' | '.join(cells)} |"
+        yield f"| `{form.name}` | {location} | {' | '.join(cells)} |"
 
 
 @pytest.mark.parametrize("name", list(FORMATS))

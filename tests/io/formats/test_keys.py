@@ -211,14 +211,14 @@ def test_a_reader_gets_the_keys_that_it_declares_and_no_others(values):
 
 
 @pytest.mark.parametrize(
-    ("key", "says"),
+    ("key", "message"),
     [
         ("xi", '"xi" is 2: it bends rays.'),
         ("lens_tilt", '"lens_tilt" may change the projection of points'),
         ("lens_focal_length", 'did you mean "focal_length"'),
     ],
 )
-def test_a_key_that_is_not_read_says_why(key, says):
-    with pytest.raises(InputError, match=says):
+def test_a_key_that_is_not_read_says_why(key, message):
+    with pytest.raises(InputError, match=message):
         KEYS.take(block(width=3, **{key: 2}))
     assert KEYS.take(block(width=3, xi=0)).values == {"width": 3}

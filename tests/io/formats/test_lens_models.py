@@ -57,20 +57,20 @@ def test_a_lens_comes_back(model, name, tmp_path):
     rig = rig_with(model, COEFFICIENTS[model])
     FORMATS[name].save(rig, place(name, tmp_path))
     names = rig.names if NAMES in FORMATS[name].loses else None
-    back = FORMATS[name].load(place(name, tmp_path), names=names)
-    for own, camera in rig.items():
-        found = back[own]
-        assert found.intrinsics.lens.model == model
+    loaded_rig = FORMATS[name].load(place(name, tmp_path), names=names)
+    for camera_name, camera in rig.items():
+        loaded = loaded_rig[camera_name]
+        assert loaded.intrinsics.lens.model == model
         world = in_frame_of(rig.cameras[0]) if name == "kalibr" else CORNERS
-        np.testing.assert_allclose(pixels(found, world), pixels(camera), **SAME)
+        np.testing.assert_allclose(pixels(loaded, world), pixels(camera), **SAME)
 
 
 @pytest.mark.parametrize("name", ["opencv", "ros", "colmap", "mrcal"])
 def test_the_simplest_lens_that_holds_the_numbers_is_read(name, tmp_path):
     rig = rig_with("brown_conrady", [-0.1, 0.03, 0.002, -0.001, 0.0])
     FORMATS[name].save(rig, place(name, tmp_path))
-    back = FORMATS[name].load(place(name, tmp_path))
-    assert {camera.intrinsics.lens.model for camera in back.cameras} == {"brown_conrady"}
+    loaded_rig = FORMATS[name].load(place(name, tmp_path))
+    assert {camera.intrinsics.lens.model for camera in loaded_rig.cameras} == {"brown_conrady"}
 
 
 @pytest.mark.parametrize("name", ["mrcal", "matlab"])
@@ -78,22 +78,22 @@ def test_a_fisheye_is_never_written_as_a_pinhole(name, tmp_path):
     with pytest.raises(InputError, match="kannala_brandt, which"):
         FORMATS[name].save(rig_with("kannala_brandt", [0.0] * 4), place(name, tmp_path))
     FORMATS["opencv"].save(rig_with("kannala_brandt", [0.0] * 4), tmp_path / "rig.yml")
-    back = FORMATS["opencv"].load(tmp_path / "rig.yml")
-    assert back.cameras[0].intrinsics.lens.model == "kannala_brandt"
+    loaded_rig = FORMATS["opencv"].load(tmp_path / "rig.yml")
+    assert loaded_rig.cameras[0].intrinsics.lens.model == "kannala_brandt"
 
 
 def test_opencv_s_fisheye_projects_what_is_written(tmp_path):
     rig = rig_with("kannala_brandt", COEFFICIENTS["kannala_brandt"])
     FORMATS["opencv"].save(rig, tmp_path / "rig.yml")
     storage = cv2.FileStorage(str(tmp_path / "rig.yml"), cv2.FILE_STORAGE_READ)
-    node, still = storage.getNode("cameras").at(0), np.zeros(3)
+    node, zeros = storage.getNode("cameras").at(0), np.zeros(3)
     assert node.getNode("fisheye_model").real() == 1
     matrix, distortion = (
         node.getNode(key).mat() for key in ("camera_matrix", "distortion_coefficients")
     )
-    seen = in_frame_of(rig.cameras[0])[:, None]
-    found, _ = cv2.fisheye.projectPoints(seen, still, still, matrix, distortion)
-    np.testing.assert_allclose(found.reshape(-1, 2), pixels(rig.cameras[0]), **SAME)
+    points_cam = in_frame_of(rig.cameras[0])[:, None]
+    images, _ = cv2.fisheye.projectPoints(points_cam, zeros, zeros, matrix, distortion)
+    np.testing.assert_allclose(images.reshape(-1, 2), pixels(rig.cameras[0]), **SAME)
 
 
 @pytest.mark.parametrize("model", LENS_MODELS)
@@ -101,6 +101,6 @@ def test_every_lens_survives_rig_json(model, tmp_path):
     few = [-0.1][: len(LENS_MODELS[model].coefficient_names)]
     rig = rig_with(model, COEFFICIENTS.get(model, few))
     save(rig, tmp_path / "rig.json")
-    back = load_rig(tmp_path / "rig.json")
+    loaded_rig = load_rig(tmp_path / "rig.json")
     for name, camera in rig.items():
-        np.testing.assert_allclose(pixels(back[name]), pixels(camera), **SAME)
+        np.testing.assert_allclose(pixels(loaded_rig[name]), pixels(camera), **SAME)

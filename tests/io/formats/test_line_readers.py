@@ -36,9 +36,9 @@ def test_plyfile_reads_edges_with_their_covariance(written):
 
 
 def test_obj_has_a_line_for_each_track(written):
-    words = [line.split() for line in written("obj", ".obj").read_text().splitlines()]
-    points = np.array([list(map(float, row[1:])) for row in words if row[0] == "v"])
-    lines = np.array([list(map(int, row[1:])) for row in words if row[0] == "l"])
+    rows = [line.split() for line in written("obj", ".obj").read_text().splitlines()]
+    points = np.array([list(map(float, fields[1:])) for fields in rows if fields[0] == "v"])
+    lines = np.array([list(map(int, fields[1:])) for fields in rows if fields[0] == "l"])
     np.testing.assert_array_equal(points[lines - 1], ENDS)
 
 
@@ -56,8 +56,8 @@ def test_trimesh_reads_gltf_in_metres_with_y_up(written, ending):
     # It takes the lines of a primitive for one polyline; every second piece of it is a segment.
     (polyline,) = path.entities
     x, y, z = np.asarray(path.vertices)[polyline.points].T * 1000
-    found = np.stack([x, -z, y], axis=1).reshape(-1, 2, 3)
-    np.testing.assert_allclose(found, ENDS, rtol=0, atol=1e-5)
+    ends = np.stack([x, -z, y], axis=1).reshape(-1, 2, 3)
+    np.testing.assert_allclose(ends, ENDS, rtol=0, atol=1e-5)
 
 
 def test_gltf_says_how_it_is_laid_out(written):
@@ -70,8 +70,8 @@ def test_ezdxf_reads_lines_on_layers(written):
     ezdxf = pytest.importorskip("ezdxf", reason="ezdxf is not installed")
     drawing = ezdxf.readfile(str(written("dxf", ".dxf")))
     lines = list(drawing.modelspace().query("LINE"))
-    found = np.array([[tuple(line.dxf.start), tuple(line.dxf.end)] for line in lines])
-    np.testing.assert_array_equal(found, ENDS)
+    ends = np.array([[tuple(line.dxf.start), tuple(line.dxf.end)] for line in lines])
+    np.testing.assert_array_equal(ends, ENDS)
     layers = [line.dxf.layer.lower() for line in lines]
     assert layers == list(MATCHES.stage)
     assert not drawing.audit().has_errors
@@ -105,21 +105,21 @@ def test_limap_s_tracks_have_the_layout_of_its_reader(tmp_path):
     files = list((tmp_path / "tracks").iterdir())
     assert len(files) == len(MATCHES)
     for track in range(len(MATCHES)):
-        words = iter((tmp_path / "tracks" / f"track_{track}.txt").read_text().split())
-        ends = np.array([float(next(words)) for _ in range(6)]).reshape(2, 3)
+        fields = iter((tmp_path / "tracks" / f"track_{track}.txt").read_text().split())
+        ends = np.array([float(next(fields)) for _ in range(6)]).reshape(2, 3)
         np.testing.assert_array_equal(ends, ENDS[track])
-        count, images = int(next(words)), int(next(words))
+        count, images = int(next(fields)), int(next(fields))
         assert count == images == (MATCHES.index[track] >= 0).sum()
-        assert next(words) == "image_id_list"
-        views = [int(next(words)) for _ in range(count)]
-        assert next(words) == "line_id_list"
-        assert [int(next(words)) for _ in range(count)] == MATCHES.index[track, views].tolist()
-        assert next(words) == "line2d_list"
-        fragments = np.array([float(next(words)) for _ in range(4 * count)]).reshape(-1, 2, 2)
+        assert next(fields) == "image_id_list"
+        views = [int(next(fields)) for _ in range(count)]
+        assert next(fields) == "line_id_list"
+        assert [int(next(fields)) for _ in range(count)] == MATCHES.index[track, views].tolist()
+        assert next(fields) == "line2d_list"
+        fragments = np.array([float(next(fields)) for _ in range(4 * count)]).reshape(-1, 2, 2)
         np.testing.assert_allclose(
             fragments - 0.5, MATCHES.fragments_px[track, views], rtol=0, atol=1e-12
         )
-        assert list(words) == ["END"]
+        assert list(fields) == ["END"]
 
 
 @pytest.mark.parametrize(

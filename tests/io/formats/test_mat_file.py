@@ -61,14 +61,14 @@ def test_a_file_that_unpacks_to_too_much_is_refused(tmp_path):
 
 
 @settings(max_examples=12)
-@given(place=st.integers(0, 10**6), byte=st.integers(0, 255), cut=st.integers(0, 10**6))
-@example(place=0, byte=0, cut=0)
-def test_a_damaged_file_is_read_or_refused(place, byte, cut, tmp_path_factory):
+@given(offset=st.integers(0, 10**6), byte=st.integers(0, 255), cut=st.integers(0, 10**6))
+@example(offset=0, byte=0, cut=0)
+def test_a_damaged_file_is_read_or_refused(offset, byte, cut, tmp_path_factory):
     folder = tmp_path_factory.mktemp("mat")
     variables = {"s": {"K": np.eye(3), "names": np.array(["a", "b"], dtype=object)}, "t": "text"}
     scipy.io.savemat(folder / "v.mat", variables)
     content = bytearray((folder / "v.mat").read_bytes())
-    content[place % len(content)] = byte
+    content[offset % len(content)] = byte
     (folder / "v.mat").write_bytes(content[: len(content) - cut % len(content) * (cut % 2)])
     try:
         read = mat_variables(folder / "v.mat")

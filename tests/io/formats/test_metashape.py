@@ -27,7 +27,7 @@ def pixel(x, y, radial):
 
 
 def test_a_point_lies_where_the_manual_says(tmp_path):
-    """With p1 and p2 in Agisoft's order, affinity, skew, and the motion and scale of a chunk."""
+    """The file has Agisoft's order of p1 and p2, affinity, skew, and a chunk's motion and scale."""
     x, y, depth = 0.3, -0.2, 0.8
     in_camera = np.array([x, y, 1.0]) * depth
     # The camera's quarter turn takes (x, y) to (-y, x), and so does the chunk's.
@@ -71,12 +71,12 @@ def test_a_fisheye_counts_by_the_angle(tmp_path):
 def test_an_export_without_a_scale_needs_a_unit(tmp_path):
     with pytest.raises(InputError, match="the unit is unknown: scale the chunk"):
         load(tmp_path, chunk="")
-    near, far = (load(tmp_path, chunk="", unit_mm=unit).cameras[0] for unit in (1.0, 1000.0))
-    np.testing.assert_allclose(far.centre_world_mm, 1000 * near.centre_world_mm, rtol=1e-12)
+    in_mm, in_metres = (load(tmp_path, chunk="", unit_mm=unit).cameras[0] for unit in (1.0, 1000.0))
+    np.testing.assert_allclose(in_metres.centre_world_mm, 1000 * in_mm.centre_world_mm, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "message"),
     [
         ({"head": '<!DOCTYPE a [<!ENTITY b "b">]>'}, "declarations"),
         ({"head": "<"}, "is not XML"),
@@ -90,8 +90,8 @@ def test_an_export_without_a_scale_needs_a_unit(tmp_path):
         ({"camera": "<master_id>0</master_id>"}, "relative to another camera"),
     ],
 )
-def test_what_is_no_camera_is_named(options, says, tmp_path):
-    with pytest.raises(InputError, match=says) as caught:
+def test_what_is_no_camera_is_named(options, message, tmp_path):
+    with pytest.raises(InputError, match=message) as caught:
         load(tmp_path, **options)
     assert str(tmp_path) in str(caught.value)
 

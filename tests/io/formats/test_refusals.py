@@ -1,4 +1,4 @@
-"""What cannot be held is refused, what cannot be read is named: one sentence each."""
+"""Writers refuse values that a format cannot hold, and readers name unreadable content."""
 
 import json
 import re
@@ -129,8 +129,8 @@ def test_numbers_that_are_not_finite_do_not_leave(name, tmp_path):
         lines = np.full((12, 2, 3), np.nan)
         value = eqx.tree_at(lambda matches: matches.lines_mm, bench_matches(), lines)
     elif "wireframe" in form.holds:
-        places = np.full((7, 3), np.nan)
-        value = eqx.tree_at(lambda frame: frame.vertices_mm, made_wireframe(), places)
+        vertices = np.full((7, 3), np.nan)
+        value = eqx.tree_at(lambda frame: frame.vertices_mm, made_wireframe(), vertices)
     else:
         value = Rig(
             dict(RIG.items()), parameters=("upper.pan_deg",), covariance=np.full((1, 1), np.nan)
@@ -147,9 +147,11 @@ def test_units_are_lengths(unit, tmp_path):
         FORMATS["opencv"].save(RIG, tmp_path / "rig.yml", unit_mm=unit)
 
 
-@pytest.mark.parametrize(("name", "words"), [("kalibr", "by definition"), ("tf", "by definition")])
-def test_a_unit_that_a_format_fixes_is_not_the_caller_s(name, words, tmp_path):
-    with pytest.raises(InputError, match=words):
+@pytest.mark.parametrize(
+    ("name", "message"), [("kalibr", "by definition"), ("tf", "by definition")]
+)
+def test_a_unit_that_a_format_fixes_is_not_the_caller_s(name, message, tmp_path):
+    with pytest.raises(InputError, match=message):
         FORMATS[name].save(RIG, place_of(FORMATS[name], tmp_path), unit_mm=1.0)
     with pytest.raises(InputError, match="contains no lengths"):
         FORMATS["lsd"].load(__file__, unit_mm=1.0)
@@ -203,12 +205,16 @@ IN_PROCESS = [n for n in OF_CAMERAS if FORMATS[n].place == "file" and n != "matl
 
 @pytest.mark.parametrize("name", IN_PROCESS)
 @settings(max_examples=40)
-@given(place=st.integers(0, 10**6), gone=st.integers(0, 9), come=st.binary(max_size=4))
-def test_a_damaged_file_is_a_rig_or_an_input_error(name, place, gone, come, tmp_path_factory):
+@given(
+    offset=st.integers(0, 10**6), removed_count=st.integers(0, 9), inserted=st.binary(max_size=4)
+)
+def test_a_damaged_file_is_a_rig_or_an_input_error(
+    name, offset, removed_count, inserted, tmp_path_factory
+):
     path = written(name, tmp_path_factory.mktemp("damaged"))
     content = path.read_bytes()
-    place %= len(content)
-    path.write_bytes(content[:place] + come + content[place + gone :])
+    offset %= len(content)
+    path.write_bytes(content[:offset] + inserted + content[offset + removed_count :])
     try:
         value = FORMATS[name].load(path, lenses=dict.fromkeys(RIG, LENS))
     except InputError as error:
@@ -260,10 +266,10 @@ SPOILT = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "old", "new", "says"), SPOILT)
-def test_a_spoilt_file_is_named_with_what_is_wrong(name, old, new, says, tmp_path):
+@pytest.mark.parametrize(("name", "old", "new", "message"), SPOILT)
+def test_a_spoilt_file_is_named_with_what_is_wrong(name, old, new, message, tmp_path):
     path = written(name, tmp_path)
-    lenses = {own: camera.intrinsics for own, camera in RIG.items()}
+    lenses = {camera_name: camera.intrinsics for camera_name, camera in RIG.items()}
     FORMATS[name].load(path, lenses=lenses)
     changed = 0
     for file in sorted(path.iterdir()) if path.is_dir() else [path]:
@@ -272,7 +278,7 @@ def test_a_spoilt_file_is_named_with_what_is_wrong(name, old, new, says, tmp_pat
         changed += spoilt != text
         file.write_text(spoilt)
     assert changed
-    with pytest.raises(InputError, match=says) as caught:
+    with pytest.raises(InputError, match=message) as caught:
         FORMATS[name].load(path, lenses=lenses)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -348,7 +354,7 @@ def test_pairs_of_matlab_must_share_their_first_camera(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "says"),
+    ("name", "text", "message"),
     [
         ("lsd", "1 2 3\n", "line 1, must be 4 or 5 or 7 numbers"),
         ("elsed", "1 2 3 4\n1 2 nan 4\n", "not finite"),
@@ -358,9 +364,9 @@ def test_pairs_of_matlab_must_share_their_first_camera(tmp_path):
         ("elsed", "1 2 1 2\n", "two equal ends"),
     ],
 )
-def test_segments_that_are_none_are_named(name, text, says, tmp_path):
+def test_segments_that_are_none_are_named(name, text, message, tmp_path):
     (tmp_path / "segments.txt").write_text(text)
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match=message):
         FORMATS[name].load(tmp_path / "segments.txt")
 
 

@@ -1,4 +1,4 @@
-"""What is written and read again projects the same points to the same pixels."""
+"""A rig that is written and read projects the same points to the same pixels."""
 
 import tempfile
 from pathlib import Path
@@ -17,7 +17,7 @@ from trinoc.io.formats.format import LENSES, NAMES, WORLD
 
 SAME = {"rtol": 0, "atol": 1e-9}
 # What differs from a rig of one to four cameras with five coefficients and no skew.
-RIGS = {"kalibr": rigs(coefficients=4), "matlab": rigs(skew=True, fewest=2)}
+RIGS = {"kalibr": rigs(coefficients=4), "matlab": rigs(skew=True, min_cameras=2)}
 OF_CAMERAS = [n for n, each in FORMATS.items() if "rig" in each.reads and "rig" in each.holds]
 # The same file by another ending, .yaml for .yml, is not another test.
 ENDINGS = [
@@ -38,18 +38,18 @@ def test_a_rig_comes_back(name, ending, data):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"rig{ending}"
         form.save(rig, path, unit_mm=unit_mm)
-        known = {own: camera.intrinsics for own, camera in rig.items()}
-        lens_of = known if LENSES in form.loses else None
+        lens_by_name = {camera_name: camera.intrinsics for camera_name, camera in rig.items()}
+        lens_of = lens_by_name if LENSES in form.loses else None
         names = rig.names if NAMES in form.loses else None
-        back = form.load(path, unit_mm=unit_mm, lenses=lens_of, names=names)
-    assert isinstance(back, Rig)
-    assert set(back.names) == set(rig.names)
+        loaded = form.load(path, unit_mm=unit_mm, lenses=lens_of, names=names)
+    assert isinstance(loaded, Rig)
+    assert set(loaded.names) == set(rig.names)
     if name != "mrcal":  # whose folder has no order
-        assert back.names == rig.names
+        assert loaded.names == rig.names
     world = in_frame_of(rig.cameras[0]) if WORLD in form.loses else CORNERS
-    for own, camera in rig.items():
-        assert back[own].image_size_px == camera.image_size_px
-        np.testing.assert_allclose(pixels(back[own], world), pixels(camera), **SAME)
+    for camera_name, camera in rig.items():
+        assert loaded[camera_name].image_size_px == camera.image_size_px
+        np.testing.assert_allclose(pixels(loaded[camera_name], world), pixels(camera), **SAME)
 
 
 @pytest.mark.parametrize("name", ["opencv", "matlab"])
@@ -60,11 +60,13 @@ def test_a_covariance_comes_back_where_there_is_room_for_it(name, cameras, tmp_p
     rig = Rig(dict(rig.items()), parameters=rig.parameters, covariance=root @ root.T)
     for ending in form.endings:
         form.save(rig, tmp_path / f"rig{ending}")
-        back = form.load(tmp_path / f"rig{ending}")
-        assert back.parameters == rig.parameters
-        np.testing.assert_array_equal(back.covariance, rig.covariance)
+        loaded = form.load(tmp_path / f"rig{ending}")
+        assert loaded.parameters == rig.parameters
+        np.testing.assert_array_equal(loaded.covariance, rig.covariance)
         renamed = form.load(tmp_path / f"rig{ending}", names=("a", "b", "c")[:cameras])
-        assert renamed.parameters == tuple(f"{own}.pan_deg" for own in renamed.names)
+        assert renamed.parameters == tuple(
+            f"{camera_name}.pan_deg" for camera_name in renamed.names
+        )
 
 
 ANY_NAME = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=9).filter(
@@ -87,15 +89,15 @@ def test_any_printable_name_comes_back_from_opencv(ending, names):
 @given(rig=rigs(coefficients=0))
 def test_cameras_that_were_matrices_have_no_skew_to_refuse(rig):
     """Taking a matrix apart leaves a skew of rounding errors."""
-    again = Rig.from_matrices(
+    refactored = Rig.from_matrices(
         {name: 3.7 * camera.matrix_px for name, camera in rig.items()},
         {name: camera.image_size_px for name, camera in rig.items()},
     )
     with tempfile.TemporaryDirectory() as folder:
-        FORMATS["colmap"].save(again, Path(folder) / "rig")
-        back = FORMATS["colmap"].load(Path(folder) / "rig")
+        FORMATS["colmap"].save(refactored, Path(folder) / "rig")
+        loaded = FORMATS["colmap"].load(Path(folder) / "rig")
     for name, camera in rig.items():
-        np.testing.assert_allclose(pixels(back[name]), pixels(camera), rtol=0, atol=1e-8)
+        np.testing.assert_allclose(pixels(loaded[name]), pixels(camera), rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", [n for n, each in FORMATS.items() if "lens" in each.reads])
@@ -106,11 +108,11 @@ def test_a_lens_comes_back(name, lens):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"camera{form.endings[0]}"
         form.save(lens, path)
-        back = form.load(path)
-    assert back.image_size_px == lens.image_size_px
+        loaded = form.load(path)
+    assert loaded.image_size_px == lens.image_size_px
     ray = np.array([0.21, -0.17])
     expected = lens.pixel_from_normalised(ray)
-    np.testing.assert_allclose(back.pixel_from_normalised(ray), expected, **SAME)
+    np.testing.assert_allclose(loaded.pixel_from_normalised(ray), expected, **SAME)
 
 
 @pytest.mark.parametrize("name", [n for n, each in FORMATS.items() if "segments" in each.reads])
@@ -119,22 +121,22 @@ def test_segments_come_back_to_the_last_digit(name, count, tmp_path):
     ends = np.random.default_rng(count).uniform(-1, 700, (count, 4))
     form = FORMATS[name]
     form.save(Segments.from_endpoints(ends), tmp_path / "segments.txt")
-    back = form.load(tmp_path / "segments.txt")
-    np.testing.assert_array_equal(back.endpoints_px.reshape(-1, 4), ends)
+    loaded = form.load(tmp_path / "segments.txt")
+    np.testing.assert_array_equal(loaded.endpoints_px.reshape(-1, 4), ends)
 
 
 @settings(max_examples=3)
-@given(rig=rigs(coefficients=4, fewest=3, most=3))
+@given(rig=rigs(coefficients=4, min_cameras=3, max_cameras=3))
 def test_names_are_given_to_cameras_in_their_order(rig):
     form = FORMATS["kalibr"]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "chain.yaml"
         form.save(rig, path)
-        back = form.load(path)
+        loaded = form.load(path)
         named = form.load(path, names=("a", "b", "c"))
-    assert back.names == ("cam0", "cam1", "cam2")
+    assert loaded.names == ("cam0", "cam1", "cam2")
     assert named.names == ("a", "b", "c")
-    np.testing.assert_array_equal(named.matrices_px, back.matrices_px)
+    np.testing.assert_array_equal(named.matrices_px, loaded.matrices_px)
 
 
 @pytest.mark.parametrize("name", list(FORMATS))

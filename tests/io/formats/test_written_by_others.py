@@ -1,4 +1,4 @@
-"""What other tools write where trinoc's own files differ: one camera, said in several ways."""
+"""Readers accept the variants that other tools write: one camera, described in several ways."""
 
 import json
 import re
@@ -26,15 +26,15 @@ def pose_of(camera: Camera) -> np.ndarray:
     return np.asarray(camera.cam_from_world)
 
 
-def expect_same_rig(found: Rig, wanted: Rig) -> None:
-    """The same lenses, and poses from the first camera."""
-    for ours, theirs in zip(found.cameras, wanted.cameras, strict=True):
+def expect_same_rig(rig: Rig, wanted: Rig) -> None:
+    """Assert equal lenses, and equal poses relative to the first camera."""
+    for ours, theirs in zip(rig.cameras, wanted.cameras, strict=True):
         np.testing.assert_allclose(
             ours.intrinsics.lens.parameters, theirs.intrinsics.lens.parameters, **SAME
         )
         steps = [
             chain_motions(pose_of(camera), inverse(pose_of(rig.cameras[0])))
-            for camera, rig in ((ours, found), (theirs, wanted))
+            for camera, rig in ((ours, rig), (theirs, wanted))
         ]
         np.testing.assert_allclose(*steps, rtol=0, atol=1e-9)
 
@@ -70,9 +70,9 @@ def test_a_stereo_pair_of_ros_has_its_poses_in_r_and_p(tmp_path):
         values["projection_matrix"] = matrix_block(projection)
         file.write_text(yaml_text(values))
     # Files are read in the order of their names.
-    found = FORMATS["ros"].load(tmp_path / "rig")
-    assert set(found.names) == set(PAIR.names)
-    expect_same_rig(Rig({name: found[name] for name in PAIR.names}), PAIR)
+    rig = FORMATS["ros"].load(tmp_path / "rig")
+    assert set(rig.names) == set(PAIR.names)
+    expect_same_rig(Rig({name: rig[name] for name in PAIR.names}), PAIR)
 
 
 def test_cameras_without_poses_are_no_rig(tmp_path):
@@ -120,15 +120,15 @@ def test_messages_as_ros2_topic_echo_prints_them(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ({"binning": 2}, '"binning_x" is 2'),
         ({"roi": 480}, '"roi" is a part of the picture'),
         ({"rectified": "true"}, '"roi.do_rectify" is true'),
     ],
 )
-def test_messages_of_other_pictures_than_the_lens_is_of(change, says, tmp_path):
-    with pytest.raises(InputError, match=re.escape(says)):
+def test_messages_of_other_pictures_than_the_lens_is_of(change, message, tmp_path):
+    with pytest.raises(InputError, match=re.escape(message)):
         read_messages(tmp_path, change)
 
 
@@ -202,8 +202,8 @@ def test_matlab_states_its_unit(unit, mm, tmp_path):
     FORMATS["matlab"].save(PAIR, tmp_path / "mm.mat")
     before = FORMATS["matlab"].load(tmp_path / "mm.mat")
     write_matlab_unit(tmp_path, unit)
-    found = FORMATS["matlab"].load(tmp_path / "changed.mat")
-    for one, other in zip(before.cameras, found.cameras, strict=True):
+    after = FORMATS["matlab"].load(tmp_path / "changed.mat")
+    for one, other in zip(before.cameras, after.cameras, strict=True):
         np.testing.assert_allclose(pose_of(other)[:, 3], mm * pose_of(one)[:, 3], atol=1e-8)
 
 
@@ -311,9 +311,9 @@ def test_nerfstudio_bends_rays_whatever_the_perspective_model_is_called(model, t
 
 def test_instant_ngp_says_the_focal_length_by_an_angle(tmp_path):
     angle = 2 * np.arctan(640 / 900)
-    found = read_nerf(tmp_path, camera_angle_x=angle)
-    wanted = read_nerf(tmp_path, **FOCAL)
-    for one, other in zip(found.cameras, wanted.cameras, strict=True):
+    by_angle = read_nerf(tmp_path, camera_angle_x=angle)
+    by_length = read_nerf(tmp_path, **FOCAL)
+    for one, other in zip(by_angle.cameras, by_length.cameras, strict=True):
         np.testing.assert_allclose(one.intrinsics.matrix, other.intrinsics.matrix, rtol=1e-12)
     bent = {"k1": 0.1, "k2": 0.01}
     fisheye = read_nerf(tmp_path, is_fisheye=True, **FOCAL, **bent)

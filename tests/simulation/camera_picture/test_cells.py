@@ -30,8 +30,8 @@ def test_lines_that_part_nothing_change_nothing():
     plain = Cells(LINES, LINES, CHECKERS)
     finer = Cells(MORE, MORE, CHECKERS[np.ix_(AGAIN, AGAIN)])
     np.testing.assert_allclose(picture(finer), picture(plain), atol=0.7)
-    places = np.random.default_rng(0).uniform(-35, 35, (500, 2))
-    np.testing.assert_array_equal(finer.level_mm(places) < 0, plain.level_mm(places) < 0)
+    points_mm = np.random.default_rng(0).uniform(-35, 35, (500, 2))
+    np.testing.assert_array_equal(finer.level_mm(points_mm) < 0, plain.level_mm(points_mm) < 0)
 
 
 def test_checkers_are_their_squares():
@@ -42,8 +42,8 @@ def test_checkers_are_their_squares():
 
 def test_the_level_has_no_jump():
     figure = Cells(MORE, MORE, CHECKERS[np.ix_(AGAIN, AGAIN)])
-    places = np.random.default_rng(1).uniform(-35, 35, (2000, 2))
+    points_mm = np.random.default_rng(1).uniform(-35, 35, (2000, 2))
     step = np.random.default_rng(2).normal(size=(2000, 2))
     step *= 1e-3 / np.linalg.norm(step, axis=1, keepdims=True)
-    change = figure.level_mm(places + step) - figure.level_mm(places)
+    change = figure.level_mm(points_mm + step) - figure.level_mm(points_mm)
     assert np.abs(change).max() < 1.001e-3

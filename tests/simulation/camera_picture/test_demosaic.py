@@ -22,8 +22,8 @@ def test_an_even_grey_is_white_balanced(method):
 def test_each_filter_fills_its_own_channel(method):
     rows, columns = np.indices((20, 24)) % 2
     for channel, site in enumerate([(0, 0), None, (1, 1)]):
-        seen = rows != columns if site is None else (rows == site[0]) & (columns == site[1])
-        signal = np.where(seen, 0.3 * MOSAIC.gains[channel], 0.0)
+        is_sampled = rows != columns if site is None else (rows == site[0]) & (columns == site[1])
+        signal = np.where(is_sampled, 0.3 * MOSAIC.gains[channel], 0.0)
         colour = demosaic(signal, MOSAIC, method)[4:-4, 4:-4]
         np.testing.assert_allclose(colour[..., channel], 0.3, atol=STEP)
         others = np.delete(colour, channel, axis=2)

@@ -16,8 +16,8 @@ SIDE_PX = 96 + 2 * MARGIN_PX
 def grating(waves_u, waves_v):
     """Means over the cells of 1 + cos(2 pi f . x), x from the margin's first pixel's centre."""
     fu, fv = waves_u / SIDE_PX, waves_v / SIDE_PX
-    at = (np.arange(SIDE_PX * CELLS) + 0.5) / CELLS - 0.5
-    phase = 2 * np.pi * (fu * at[None, :] + fv * at[:, None])
+    position_px = (np.arange(SIDE_PX * CELLS) + 0.5) / CELLS - 0.5
+    phase = 2 * np.pi * (fu * position_px[None, :] + fv * position_px[:, None])
     return 1 + np.sinc(fu / CELLS) * np.sinc(fv / CELLS) * np.cos(phase)
 
 
@@ -27,8 +27,8 @@ def light_of(cells, optics):
 
 def contrast(waves_u, waves_v, optics):
     picture = light_of(grating(waves_u, waves_v), optics)
-    at = np.arange(MARGIN_PX, SIDE_PX - MARGIN_PX)
-    phase = 2 * np.pi * (waves_u * at[None, :] + waves_v * at[:, None]) / SIDE_PX
+    position_px = np.arange(MARGIN_PX, SIDE_PX - MARGIN_PX)
+    phase = 2 * np.pi * (waves_u * position_px[None, :] + waves_v * position_px[:, None]) / SIDE_PX
     basis = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase)], axis=-1).reshape(-1, 3)
     mean, cosine, sine = np.linalg.lstsq(basis, picture.ravel())[0]
     assert mean == pytest.approx(1.0)

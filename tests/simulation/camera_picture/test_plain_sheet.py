@@ -122,17 +122,17 @@ def test_line_styles(style, inside, before):
 def test_grey_levels_are_rounded_and_scaled_and_noise_has_its_sigma():
     camera, pattern = camera_of(), one_disc()
     light = clean(pattern, camera, covers=(cover_card((0.0, 0.0), grey=300.0),))
-    given = {"paper": PAPER, "ink": INK, "covers": (cover_card((0.0, 0.0), grey=300.0),)}
+    settings = {"paper": PAPER, "ink": INK, "covers": (cover_card((0.0, 0.0), grey=300.0),)}
     for bits, dtype in ((8, np.uint8), (16, np.uint16)):
-        picture = render_sheet(pattern, camera, **given, bits=bits)
+        picture = render_sheet(pattern, camera, **settings, bits=bits)
         assert picture.dtype == dtype
         expected = np.rint(np.clip(light, 0, 255) * (2**bits - 1) / 255)
         assert np.abs(picture - expected).max() <= 1
-    first, again, other = (
+    first, repeated, other = (
         render_sheet(pattern, camera, paper=128.0, ink=128.0, noise_sigma=3.0, seed=s, bits=16)
         for s in (1, 1, 2)
     )
-    np.testing.assert_array_equal(first, again)
+    np.testing.assert_array_equal(first, repeated)
     assert not np.array_equal(first, other)
     # The sigma of an estimated sigma is sigma / sqrt(2 n).
     assert (first / 257.0).std() == pytest.approx(3.0, abs=5 * 3.0 / np.sqrt(2 * first.size))

@@ -1,4 +1,4 @@
-"""The whole chain: beside the other ray caster, and the table of conditions."""
+"""The whole chain of rendering, compared with the other ray caster and for all conditions."""
 
 import jax
 import numpy as np
@@ -30,17 +30,17 @@ def test_a_circle_on_bent_paper_lies_where_its_points_project():
     share = (0.9 - light) / 0.8
     # The moments of the disc's image, from a fine polar grid of its points.
     r, angle = np.meshgrid((np.arange(80) + 0.5) / 4, np.arange(160) * np.pi / 80)
-    places = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
+    points_mm = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
 
-    def image(place):
-        return project(camera, surface.point_world_mm(place))
+    def image(point_mm):
+        return project(camera, surface.point_world_mm(point_mm))
 
-    pixels = np.asarray(jax.jit(jax.vmap(image))(places))
-    jacobians = np.asarray(jax.jit(jax.vmap(jax.jacfwd(image)))(places))
+    pixels = np.asarray(jax.jit(jax.vmap(image))(points_mm))
+    jacobians = np.asarray(jax.jit(jax.vmap(jax.jacfwd(image)))(points_mm))
     area = np.abs(np.linalg.det(jacobians)) * r.reshape(-1)
     rows, columns = np.indices(share.shape)
-    found = np.array([(share * columns).sum(), (share * rows).sum()]) / share.sum()
-    np.testing.assert_allclose(found, (area[:, None] * pixels).sum(0) / area.sum(), atol=2e-4)
+    centroid_px = np.array([(share * columns).sum(), (share * rows).sum()]) / share.sum()
+    np.testing.assert_allclose(centroid_px, (area[:, None] * pixels).sum(0) / area.sum(), atol=2e-4)
     step = 0.25 * np.pi / 80
     assert share.sum() == pytest.approx(area.sum() * step, rel=1e-4)
 
@@ -60,8 +60,8 @@ def test_every_condition_delivers_a_picture(name):
 def test_a_picture_repeats_by_seed_alone():
     condition = CONDITIONS["phone"]
     camera = condition.camera(SMALL_LENS, POSE)
-    first, again, other = (camera_picture(SHEET, camera, condition, seed=s) for s in (1, 1, 2))
-    np.testing.assert_array_equal(first, again)
+    first, repeated, other = (camera_picture(SHEET, camera, condition, seed=s) for s in (1, 1, 2))
+    np.testing.assert_array_equal(first, repeated)
     assert not np.array_equal(first, other)
 
 
@@ -74,10 +74,10 @@ def test_a_condition_s_camera_stands_where_the_condition_says():
 
 
 def test_a_lens_is_off_by_what_is_said():
-    said = Intrinsics(focal_length_px=(200.0, 250.0), image_size_px=(96, 90), distortion=(-0.2,))
+    nominal = Intrinsics(focal_length_px=(200.0, 250.0), image_size_px=(96, 90), distortion=(-0.2,))
     error = LensError(focal_length=0.01, aspect=0.002, principal_point_px=(3.0, -4.0))
-    true = error.of(said)
+    true = error.of(nominal)
     np.testing.assert_allclose(true.focal_length_px, [202.0, 250.0 * 1.01 * 1.002])
-    moved = np.asarray(true.principal_point_px) - np.asarray(said.principal_point_px)
+    moved = np.asarray(true.principal_point_px) - np.asarray(nominal.principal_point_px)
     np.testing.assert_allclose(moved, [3.0, -4.0])
-    np.testing.assert_array_equal(true.distortion, said.distortion)
+    np.testing.assert_array_equal(true.distortion, nominal.distortion)

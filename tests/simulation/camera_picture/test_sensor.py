@@ -1,4 +1,4 @@
-"""Noise has the variance and the correlation that it is said to have."""
+"""Noise has the stated variance and correlation."""
 
 import numpy as np
 import pytest
@@ -48,6 +48,6 @@ def test_a_mosaic_begins_with_red_and_green_over_green_and_blue():
 
 def test_noise_repeats_by_seed():
     sensor = Sensor(electrons_per_level=10.0)
-    first, again, other = (read_out(np.full((8, 8), 0.5), sensor, seed=s) for s in (1, 1, 2))
-    np.testing.assert_array_equal(first, again)
+    first, repeated, other = (read_out(np.full((8, 8), 0.5), sensor, seed=s) for s in (1, 1, 2))
+    np.testing.assert_array_equal(first, repeated)
     assert not np.array_equal(first, other)

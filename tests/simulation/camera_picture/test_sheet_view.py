@@ -27,14 +27,14 @@ MARGIN_PX = 3
 
 @pytest.mark.parametrize("view", VIEWS.values(), ids=VIEWS.keys())
 def test_what_a_pixel_shows_projects_to_it(view):
-    seen = view.centres_mm(MARGIN_PX).reshape(-1, 2)
+    print_mm = view.centres_mm(MARGIN_PX).reshape(-1, 2)
     # Scale, surface and projection one after the other, without the view's own functions.
-    places = seen * np.array(view.paper.print_scale)
-    world = jax.jit(jax.vmap(view.paper.surface.point_world_mm))(places)
+    paper_mm = print_mm * np.array(view.paper.print_scale)
+    world = jax.jit(jax.vmap(view.paper.surface.point_world_mm))(paper_mm)
     image = jax.jit(jax.vmap(lambda point: project(view.camera, point)))(world)
     expected = pixel_grid_px(view.image_size_px, MARGIN_PX).reshape(-1, 2)
     np.testing.assert_allclose(image, expected, atol=1e-9)
-    np.testing.assert_allclose(view.pixels_px(seen), expected, atol=1e-9)
+    np.testing.assert_allclose(view.pixels_px(print_mm), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("view", VIEWS.values(), ids=VIEWS.keys())
@@ -56,6 +56,6 @@ def test_a_flat_sheet_is_seen_as_by_rays():
 
 
 def test_above_the_horizon_there_is_nothing():
-    seen = SheetView(camera_of(tilt_deg=4.0), PAPERS["rolled and stretched"]).centres_mm(0)
-    assert np.isnan(seen[0]).all()
-    assert np.isfinite(seen[-1]).all()
+    print_mm = SheetView(camera_of(tilt_deg=4.0), PAPERS["rolled and stretched"]).centres_mm(0)
+    assert np.isnan(print_mm[0]).all()
+    assert np.isfinite(print_mm[-1]).all()

@@ -50,8 +50,8 @@ def test_the_rise_at_the_reach_is_the_sagitta(make, sagitta_mm):
     surface = make(sagitta_mm, direction_deg=50.0, reach_mm=80.0)
     along = np.radians(50.0)
     for sign in (-1.0, 1.0):
-        place = sign * 80.0 * np.array([np.cos(along), np.sin(along)])
-        assert float(surface.point_world_mm(place)[2]) == pytest.approx(sagitta_mm, abs=1e-9)
+        point_mm = sign * 80.0 * np.array([np.cos(along), np.sin(along)])
+        assert float(surface.point_world_mm(point_mm)[2]) == pytest.approx(sagitta_mm, abs=1e-9)
 
 
 def test_across_the_bend_paper_stays_straight():

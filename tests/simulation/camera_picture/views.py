@@ -30,7 +30,7 @@ def cells_of(radiance: Radiance) -> np.ndarray:
 
 
 def radiance_of(cells: np.ndarray, margin_px: int) -> Radiance:
-    """Every pixel divided in cells."""
+    """Radiance in which every pixel is divided into the given cells."""
     height, width = (side // CELLS for side in cells.shape)
     by_cell = cells.reshape(height, CELLS, width, CELLS).swapaxes(1, 2)
     divided = np.argwhere(np.ones((height, width), dtype=bool))
