@@ -20,7 +20,7 @@ from trinoc.synth.truth import NOT_SCORED, SPURIOUS, SegmentTruth, points_along
 
 
 class Detector(eqx.Module):
-    """How a segment detector errs.
+    """Errors of a segment detector.
 
     Fields
     ------
@@ -66,8 +66,8 @@ def simulate_segments(
         part = np.concatenate([part, np.tile([0.0, 1.0], (len(outlines), 1))])
         ends = _images(camera, np.concatenate([ends_mm, outlines]))
         ends, part = _cut_back(ends, part, detector, generator)
-        found = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) >= max(detector.shortest_px, 1e-9)
-        ends, part, owner = ends[found], part[found], owner[found]
+        is_long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) >= max(detector.shortest_px, 1e-9)
+        ends, part, owner = ends[is_long], part[is_long], owner[is_long]
         stray = _strays(camera, round(detector.spurious_share * len(ends)), generator)
         ends = np.concatenate([ends, stray])
         ends = ends + detector.end_sigma_px * generator.normal(size=ends.shape)

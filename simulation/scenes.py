@@ -99,17 +99,17 @@ def block_scene(
     for index in range(count):
         kind = index if index < 4 else int(generator.integers(4))
         solid, radius, top = _random_solid(kind, generator, cylinder_sides)
-        place = _free_place(generator, taken, radius, reach_mm)
-        if place is None:
+        position_mm = _free_place(generator, taken, radius, reach_mm)
+        if position_mm is None:
             continue
-        taken.append((place, radius))
+        taken.append((position_mm, radius))
         turn = float(generator.uniform(0.0, 360.0))
-        solids.append(solid.place(turn_deg=turn, shift_mm=np.append(place, 0.0)))
+        solids.append(solid.place(turn_deg=turn, shift_mm=np.append(position_mm, 0.0)))
         if top is not None and generator.random() < 0.4:
             size = generator.uniform(0.5, 0.8, 3) * min(top[:2])
             upper = box((float(size[0]), float(size[1]), float(size[2])))
             turn += float(generator.uniform(20.0, 70.0))
-            solids.append(upper.place(turn_deg=turn, shift_mm=np.append(place, top[2])))
+            solids.append(upper.place(turn_deg=turn, shift_mm=np.append(position_mm, top[2])))
     return Scene.of_solids(tuple(solids))
 
 
@@ -163,10 +163,10 @@ def _free_place(
     radius_mm: float,
     reach_mm: float,
 ) -> Float[np.ndarray, "2"] | None:
-    """A place in the reach whose footprint is 3 mm clear of all others; None if none is found."""
+    """A position within reach, 3 mm clear of all other footprints; None if none is found."""
     for _ in range(500):
-        place = generator.uniform(-reach_mm, reach_mm, 2)
-        clear = all(np.hypot(*(place - p)) > radius_mm + r + 3.0 for p, r in taken)
-        if clear and np.hypot(*place) < reach_mm:
-            return place
+        position_mm = generator.uniform(-reach_mm, reach_mm, 2)
+        clear = all(np.hypot(*(position_mm - p)) > radius_mm + r + 3.0 for p, r in taken)
+        if clear and np.hypot(*position_mm) < reach_mm:
+            return position_mm
     return None

@@ -52,7 +52,7 @@ class Polyhedron(eqx.Module):
 
     @property
     def edge_kinds(self) -> tuple[str, ...]:
-        """What each edge is: always "edge"."""
+        """Kind of each edge: always "edge"."""
         return (EDGE,) * len(self.edges_mm)
 
     def silhouette_mm(self, centre_world_mm: Float[np.ndarray, "3"]) -> Float[np.ndarray, "s 2 3"]:
@@ -99,7 +99,7 @@ class Cylinder(eqx.Module):
 
     @property
     def edge_kinds(self) -> tuple[str, ...]:
-        """What each edge is: always "rim"."""
+        """Kind of each edge: always "rim"."""
         return (RIM,) * (2 * self.sides)
 
     def silhouette_mm(self, centre_world_mm: Float[np.ndarray, "3"]) -> Float[np.ndarray, "s 2 3"]:

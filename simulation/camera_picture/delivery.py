@@ -157,7 +157,7 @@ class Sharpening(eqx.Module):
 
 
 class Processing(eqx.Module):
-    """What a camera does to its signal, in this order.
+    """Steps that a camera applies to its signal, in this order.
 
     Fields
     ------

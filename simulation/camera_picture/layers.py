@@ -1,4 +1,4 @@
-"""What lies on the sheet, one layer over the other, as grey levels on the plane Z = 0."""
+"""Layers on the sheet, one over the other, as grey levels on the plane Z = 0."""
 
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
@@ -16,7 +16,7 @@ class Layer(Protocol):
 
     @property
     def local(self) -> bool:
-        """Whether nothing changes outside the box round the outline's image."""
+        """True if nothing changes outside the box round the outline's image."""
         ...
 
     def over(

@@ -47,8 +47,8 @@ class Shadow(eqx.Module):
         along = np.array([-self._normal[1], self._normal[0]])
         line = np.array(self.point_mm) + np.arange(-1000.0, 1000.0, step_mm)[:, None] * along
         reach = min(3 * max(self.penumbra_mm, 0.1), 3.0)
-        beside = np.arange(-reach, reach + step_mm / 2, step_mm)
-        return np.concatenate([line + offset * self._normal for offset in beside])
+        offsets_mm = np.arange(-reach, reach + step_mm / 2, step_mm)
+        return np.concatenate([line + offset * self._normal for offset in offsets_mm])
 
     @property
     def _normal(self) -> Float[np.ndarray, "2"]:

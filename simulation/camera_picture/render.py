@@ -17,7 +17,7 @@ _EVEN = Illumination()
 
 
 class Condition(eqx.Module):
-    """How a picture is taken: what is before the camera, and what the camera does, in order."""
+    """Conditions under which a picture is taken: the scene and the camera's steps, in order."""
 
     scene: SheetScene = SheetScene()
     optics: Optics = Optics()
@@ -42,7 +42,7 @@ def camera_picture(
 def delivered_picture(
     irradiance: Float[np.ndarray, "h w"], sensor: Sensor, processing: Processing, *, seed: int = 0
 ) -> Shaped[np.ndarray, "h w *channels"]:
-    """What sensor and processing make of the light on each pixel; noise is drawn by `seed`."""
+    """Picture of the light on each pixel after sensor and processing; `seed` draws the noise."""
     signal = read_out(irradiance, sensor, seed=seed)
     return deliver_picture(signal, sensor.mosaic, processing)
 

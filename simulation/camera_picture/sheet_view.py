@@ -42,8 +42,8 @@ class SheetView(eqx.Module):
     def centres_mm(self, margin_px: int) -> Float[np.ndarray, "h w 2"]:
         """Points of the layout at the pixels' centres; NaN above the horizon."""
         uv = pixel_grid_px(self.image_size_px, margin_px)
-        seen = partial(_places_seen, self.camera, _as_arrays(self.paper))
-        return _in_chunks(seen, uv.reshape(-1, 2)).reshape(uv.shape)
+        locate = partial(_places_seen, self.camera, _as_arrays(self.paper))
+        return _in_chunks(locate, uv.reshape(-1, 2)).reshape(uv.shape)
 
     def cells_mm(
         self,
@@ -86,7 +86,7 @@ class SheetView(eqx.Module):
         )
 
     def points_world_mm(self, points_mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
-        """Where points of the layout lie in the world."""
+        """World coordinates of points of the layout."""
         flat = _in_chunks(
             partial(_points_of_places, _as_arrays(self.paper)), points_mm.reshape(-1, 2)
         )
@@ -112,14 +112,14 @@ def _places_seen(
     camera: Camera, paper: Paper, uv_px: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 2"]:
     def one(uv: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        def image(place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-            return project(camera, _world(paper, place))
+        def image(sheet_point: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+            return project(camera, _world(paper, sheet_point))
 
         def step(state: tuple) -> tuple:
-            count, place, (u, v) = state
-            (a, b), (c, d) = jax.jacfwd(image)(place)
-            place = place - jnp.stack([d * u - b * v, a * v - c * u]) / (a * d - b * c)
-            return count + 1, place, image(place) - uv
+            count, sheet_point, (u, v) = state
+            (a, b), (c, d) = jax.jacfwd(image)(sheet_point)
+            sheet_point = sheet_point - jnp.stack([d * u - b * v, a * v - c * u]) / (a * d - b * c)
+            return count + 1, sheet_point, image(sheet_point) - uv
 
         def is_far(state: tuple) -> ArrayLike:
             count, _, residual = state
@@ -136,18 +136,20 @@ def _places_seen(
 
 @kept_jit
 def _pixels_of_places(
-    camera: Camera, paper: Paper, places_mm: Float[ArrayLike, "n 2"]
+    camera: Camera, paper: Paper, sheet_points_mm: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 2"]:
-    def one(place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        point = _world(paper, place)
+    def one(sheet_point: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        point = _world(paper, sheet_point)
         return jnp.where(depth_mm(camera, point) > 0, project(camera, point), jnp.nan)
 
-    return jax.vmap(one)(places_mm)
+    return jax.vmap(one)(sheet_points_mm)
 
 
 @kept_jit
-def _points_of_places(paper: Paper, places_mm: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "n 3"]:
-    return jax.vmap(lambda place: _world(paper, place))(places_mm)
+def _points_of_places(
+    paper: Paper, sheet_points_mm: Float[ArrayLike, "n 2"]
+) -> Float[ArrayLike, "n 3"]:
+    return jax.vmap(lambda sheet_point: _world(paper, sheet_point))(sheet_points_mm)
 
 
 def _world(paper: Paper, place_mm: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
