@@ -10,7 +10,7 @@ class DocstringMarkdown(griffe.Extension):
     """Rewrites every docstring before it is shown."""
 
     def on_object(self, *, obj: Any, **_: Any) -> None:
-        """Of each module, class and function."""
+        """Rewrite the docstring of a module, class or function."""
         if obj.docstring is not None:
             obj.docstring.value = as_markdown(obj.docstring.value)
 
@@ -26,8 +26,8 @@ def as_markdown(text: str) -> str:
         if item:
             # In NumPy's layout a type stands here, and the description begins on the next line.
             is_type = re.match(r"    [A-Z]", following) and not item[2].endswith((".", ","))
-            words = f" ({item[2]}):" if is_type else f": {item[2]}"
-            lines += ([] if listed else [""]) + [f"- `{item[1]}`{words}"]
+            description = f" ({item[2]}):" if is_type else f": {item[2]}"
+            lines += ([] if listed else [""]) + [f"- `{item[1]}`{description}"]
         else:
             lines.append(line)
         listed = bool(item) or (listed and line.startswith("    "))

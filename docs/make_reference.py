@@ -14,10 +14,10 @@ def with_options(page: str) -> str:
     first: dict[tuple[str, str], str] = {}
     for name in re.findall(r"^### `trinoc ([\w-]+)`", page, re.M):
         options = _options(name)
-        whole = "".join(f"- {words}\n" for words in _listed(name, options, first))
+        listed = "".join(f"- {line}\n" for line in _listed(name, options, first))
         section = rf"(### `trinoc {name}`\n(?:(?!### |- `).*\n)*?)(?:- `.*\n)+"
-        page, found = re.subn(section, lambda match, own=whole: match[1] + own, page)
-        assert found == 1, f"{PAGE.name} has no list of options of {name}"
+        page, count = re.subn(section, lambda match, lines=listed: match[1] + lines, page)
+        assert count == 1, f"{PAGE.name} has no list of options of {name}"
     return page
 
 
@@ -26,13 +26,15 @@ def _listed(
 ) -> list[str]:
     """A line for each option; those that an earlier command has alike share one, at the end."""
     lines, shared = [], {}
-    for option, words in options:
-        owner = first.setdefault((option, words), command)
+    for option, text in options:
+        owner = first.setdefault((option, text), command)
         if owner == command:
-            lines.append(f"{option}: {words}")
+            lines.append(f"{option}: {text}")
         else:
             shared.setdefault(owner, []).append(option)
-    return lines + [f"{', '.join(own)}: as of `trinoc {owner}`" for owner, own in shared.items()]
+    return lines + [
+        f"{', '.join(names)}: as of `trinoc {owner}`" for owner, names in shared.items()
+    ]
 
 
 def _options(command: str) -> list[tuple[str, str]]:
@@ -49,11 +51,11 @@ def _typed(option: Option) -> str:
     """The option with its short form, what is typed behind it, and its other names."""
     if not option.typed:
         return f"`{option.metavar}`"
-    whole = f"{option.typed} {option.metavar}".strip()
+    main_form = f"{option.typed} {option.metavar}".strip()
     names = sorted(
-        (*option.aliases, whole), key=lambda each: (each.startswith("--"), each != whole)
+        (*option.aliases, main_form), key=lambda name: (name.startswith("--"), name != main_form)
     )
-    return ", ".join(f"`{each}`" for each in names)
+    return ", ".join(f"`{name}`" for name in names)
 
 
 def _default(option: Option) -> str:
