@@ -23,7 +23,7 @@ ENDINGS = {"rig": ".json", "lens": ".json", "segments": ".npz"}
 
 
 def exports() -> Values:
-    """What each format of other tools, and our own, make of the same values."""
+    """Files that each format of other tools, and our own, write for the same values."""
     values = dict(_values())
     for name, format_ in FORMATS.items():
         for kind, value in values.items():
@@ -66,7 +66,7 @@ def _written(name: str, kind: str, format_: Any, value: Any) -> Values:
         except TrinocError as error:
             yield f"{name}.{kind}.refusal", str(error).replace(folder, "")
             return
-        inside = sorted(each for each in path.rglob("*") if each.is_file())
+        inside = sorted(file for file in path.rglob("*") if file.is_file())
         for file in inside or [path]:
             yield f"{name}.{kind}.{file.name}", _content(file, folder)
         yield f"{name}.{kind}.lost", format_.lost(value)
@@ -84,8 +84,8 @@ def _own_file(name: str, value: Any, path: Path) -> Values:
                 yield f"{name}.{key}", file[key]
     else:
         yield name, _content(path, str(path.parent))
-    again = trinoc.load(path)
-    yield f"{name}.again", isinstance(again, Rig | Intrinsics | Table)
+    reloaded = trinoc.load(path)
+    yield f"{name}.again", isinstance(reloaded, Rig | Intrinsics | Table)
 
 
 def _content(file: Path, folder: str) -> str:

@@ -51,10 +51,10 @@ def made_lines(
     bad = random.random(tracks) < wrong
     view = random.integers(0, 3, bad.sum())
     fragments[bad, view] = fragments[random.permutation(tracks)[: bad.sum()], view]
-    seen = np.ones((tracks, 3), dtype=bool)
+    is_seen = np.ones((tracks, 3), dtype=bool)
     hidden = np.flatnonzero((random.random(tracks) < 0.2) & ~bad)
-    seen[hidden, random.integers(0, 3, len(hidden))] = False
-    return LineObservations(TRUE_RIG.names, fragments, covariance, seen, ends), ends, bad
+    is_seen[hidden, random.integers(0, 3, len(hidden))] = False
+    return LineObservations(TRUE_RIG.names, fragments, covariance, is_seen, ends), ends, bad
 
 
 def started_from(rig: Rig, lines: LineObservations) -> LineObservations:
@@ -63,9 +63,11 @@ def started_from(rig: Rig, lines: LineObservations) -> LineObservations:
     from trinoc.numerics.precision import in_float64
 
     solve = jax.jit(jax.vmap(triangulate_segment, (None, 0, 0, 0)))
-    found = in_float64(solve)(rig.matrices_px, lines.fragments_px, lines.covariance_px2, lines.seen)
-    finite = np.isfinite(found.ends_mm).all(axis=(1, 2))
-    start = np.where(finite[:, None, None], found.ends_mm, lines.lines_mm)
+    triangulated = in_float64(solve)(
+        rig.matrices_px, lines.fragments_px, lines.covariance_px2, lines.seen
+    )
+    finite = np.isfinite(triangulated.ends_mm).all(axis=(1, 2))
+    start = np.where(finite[:, None, None], triangulated.ends_mm, lines.lines_mm)
     return LineObservations(
         lines.views, lines.fragments_px, lines.covariance_px2, lines.seen, start
     )
@@ -83,16 +85,16 @@ def knocked_cameras(trials: int) -> None:
             for seed in range(trials if tracks < 2000 else max(trials // 3, 1)):
                 random = np.random.default_rng([seed, tracks])
                 camera = int(random.integers(0, 3))
-                own = np.arange(4 * camera, 4 * camera + 4)
+                unknowns = np.arange(4 * camera, 4 * camera + 4)
                 values = TRUTH + sigma * random.standard_normal(12)
-                size = np.where(ANGLE, degrees, millimetres)[own]
-                values[own] += size * random.choice([-1, 1], 4)
+                size = np.where(ANGLE, degrees, millimetres)[unknowns]
+                values[unknowns] += size * random.choice([-1, 1], 4)
                 lines, _, bad = made_lines(random, tracks, 0.3, wrong)
                 start = rig_at(values, np.diag(sigma**2))
                 answer = refine(start, started_from(start, lines), moved=(TRUE_RIG.names[camera],))
-                rows = [answer.parameters.index(NAMES[i]) for i in own]
-                error = answer.values[rows] - TRUTH[own]
-                before.append((values - TRUTH)[own])
+                rows = [answer.parameters.index(NAMES[i]) for i in unknowns]
+                error = answer.values[rows] - TRUTH[unknowns]
+                before.append((values - TRUTH)[unknowns])
                 after.append(error)
                 within.append(np.abs(error) < 3 * np.sqrt(np.diag(answer.covariance))[rows])
                 caught.append((answer.inlier != lines.seen).any(axis=1)[bad].mean())
@@ -148,8 +150,8 @@ def sheet_and_segments(trials: int) -> None:
                 start = rig_at(TRUTH + sigma * random.standard_normal(12), np.diag(sigma**2))
                 refined = refine(start, lines).rig
                 for rig, errors in ((start, alone), (refined, together)):
-                    found = started_from(rig, held_out).lines_mm
-                    errors.append(np.median(np.linalg.norm(found - ends, axis=2)))
+                    estimated_mm = started_from(rig, held_out).lines_mm
+                    errors.append(np.median(np.linalg.norm(estimated_mm - ends, axis=2)))
             print(f"  sheet {sheet:4.0f} x its bound, {tracks:5d} lines of 0.3 px: median error "
                   f"{1e3 * np.mean(alone):8.2f} -> {1e3 * np.mean(together):8.2f} um")  # fmt: skip
 

@@ -32,7 +32,7 @@ def rig_at(values: np.ndarray, covariance: np.ndarray | None = None) -> Rig:
 
 
 def calibrated_rig(random: np.random.Generator) -> Rig:
-    """What a good sheet says of the rig."""
+    """Rig as a good sheet calibrates it."""
     values = TRUTH + SHEET_SIGMA * random.standard_normal(len(TRUTH))
     return rig_at(values, np.diag(SHEET_SIGMA**2))
 

@@ -71,8 +71,8 @@ class Residuals:
         first = np.cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
         self.first = first / np.linalg.norm(first, axis=1, keepdims=True)
         self.second = np.cross(axis, self.first) / np.linalg.norm(axis, axis=1, keepdims=True)
-        way = np.diff(lines.fragments_px, axis=2)[:, :, 0]
-        normal = np.stack([-way[..., 1], way[..., 0]], axis=-1)
+        direction = np.diff(lines.fragments_px, axis=2)[:, :, 0]
+        normal = np.stack([-direction[..., 1], direction[..., 0]], axis=-1)
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
         covariance = lines.covariance_px2[..., :2, :2]
         self.sigma = np.sqrt(np.einsum("tvi,tvij,tvj->tv", normal, covariance, normal))
@@ -106,8 +106,13 @@ class Residuals:
                 pattern[row, 6 * view : 6 * view + 6] = 1
                 pattern[row, 6 * views + 4 * track : 6 * views + 4 * track + 4] = 1
         start = np.zeros(pattern.shape[1])
-        found = least_squares(self.all, start, jac_sparsity=pattern, x_scale="jac", loss="soft_l1")
-        print(f"         ({found.nfev} evaluations, final cost {found.cost:.6g}: {found.message})")
+        solution = least_squares(
+            self.all, start, jac_sparsity=pattern, x_scale="jac", loss="soft_l1"
+        )
+        print(
+            f"         ({solution.nfev} evaluations, final cost {solution.cost:.6g}: "
+            f"{solution.message})"
+        )
 
 
 def across(image: np.ndarray, fragments: np.ndarray) -> np.ndarray:
