@@ -120,7 +120,7 @@ def write_scene(folder: Path, name: str, recipe: Recipe) -> None:
     rig = table1_rig(resolution=recipe.resolution)
     segments, truth = simulate_segments(recipe.scene, rig, recipe.detector, seed=130_000)
     size = np.array(rig[VIEWS[0]].image_size_px, dtype=float)
-    found = {
+    endpoints = {
         f"segs_{k}": segments[view].endpoints_px.reshape(-1, 4) for k, view in enumerate(VIEWS)
     }
     edge_of = {f"gid_{k}": truth.edge_of[view] for k, view in enumerate(VIEWS)}
@@ -129,7 +129,7 @@ def write_scene(folder: Path, name: str, recipe: Recipe) -> None:
     np.savez_compressed(
         folder / f"{name}.gt.npz", X=truth.edges_mm.reshape(-1, 6), **edge_of, **extent
     )
-    np.savez_compressed(folder / f"{name}.npz", P=matrices, size=size, **found)
+    np.savez_compressed(folder / f"{name}.npz", P=matrices, size=size, **endpoints)
 
 
 def main() -> None:

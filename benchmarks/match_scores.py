@@ -51,11 +51,11 @@ def score_groups(
     """As `score_matches`, for tracks given as members (view's number in `views`, segment)."""
     put_out: dict[int, set[Group]] = {2: set(), 3: set()}
     for group in members:
-        for size, found in put_out.items():
-            found.update(itertools.combinations(group, size))
+        for size, groups in put_out.items():
+            groups.update(itertools.combinations(group, size))
     scores = {
-        size: _group_score(found, _true_groups(views, truth, size), views, truth)
-        for size, found in put_out.items()
+        size: _group_score(groups, _true_groups(views, truth, size), views, truth)
+        for size, groups in put_out.items()
     }
     return MatchScore(triples=scores[3], pairs=scores[2])
 
@@ -99,8 +99,8 @@ def _true_groups(views: tuple[str, ...], truth: SegmentTruth, size: int) -> set[
                 members[int(edge)][view].append((view, segment))
     groups = set()
     for by_view in members.values():
-        for chosen in itertools.combinations(by_view, size):
-            for group in itertools.product(*chosen):
+        for segment_lists in itertools.combinations(by_view, size):
+            for group in itertools.product(*segment_lists):
                 shared, shortest = _common(group, views, truth)
                 if shared >= LEAST_COMMON_SHARE * shortest:
                     groups.add(group)

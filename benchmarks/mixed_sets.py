@@ -1,4 +1,4 @@
-"""How many mixed-up sets of segments are caught, and how many right ones are accused.
+"""Number of mixed-up sets of segments that are caught, and of right ones that are accused.
 
     python benchmarks/mixed_sets.py [--seeds 4] [--first 21] [--only "right|shifted"] [--data DIR]
 
@@ -128,17 +128,21 @@ def photographs(folder: Path) -> Iterator[Case]:
 
 
 def is_wrong(matches: Matches, case: Case) -> np.ndarray:
-    """Of each track; of none where the truth is not known."""
+    """Mask of the wrong tracks; all False if the truth is unknown."""
     if case.edge is None:
         return np.zeros(len(matches), dtype=bool)
-    seen = matches.index >= 0
+    is_member = matches.index >= 0
     edge = np.stack(
-        [case.edge[view][np.maximum(own, 0)] for view, own in zip(VIEWS, matches.index.T)], axis=1
+        [
+            case.edge[view][np.maximum(segments, 0)]
+            for view, segments in zip(VIEWS, matches.index.T)
+        ],
+        axis=1,
     )
-    one = edge[np.arange(len(edge)), seen.argmax(axis=1)]
-    other = (edge != one[:, None]) & seen
-    touched = seen & np.isin(VIEWS, case.changed)
-    return (one < 0) | other.any(axis=1) | touched.any(axis=1)
+    first_edge = edge[np.arange(len(edge)), is_member.argmax(axis=1)]
+    differs = (edge != first_edge[:, None]) & is_member
+    touched = is_member & np.isin(VIEWS, case.changed)
+    return (first_edge < 0) | differs.any(axis=1) | touched.any(axis=1)
 
 
 def main() -> None:
@@ -158,11 +162,11 @@ def main() -> None:
     for how in [how for how in cases if re.search(options.only, how)]:
         suspect, named, sure, wrong, taken, alone, sets = 0, 0, 0, 0, 0.0, 0.0, 0
         for case in cases[how]:
-            given = case.segments, case.rig
+            inputs = case.segments, case.rig
             begin = time.process_time()
-            match_segments(*given, sigma_px=case.sigma_px, verify="off")
+            match_segments(*inputs, sigma_px=case.sigma_px, verify="off")
             middle = time.process_time()
-            matches = match_segments(*given, sigma_px=case.sigma_px)
+            matches = match_segments(*inputs, sigma_px=case.sigma_px)
             taken, alone = taken + time.process_time() - middle, alone + middle - begin
             is_suspect = matches.status is MatchStatus.SUSPECT
             suspect, sets = suspect + is_suspect, sets + 1

@@ -80,7 +80,9 @@ def main() -> int:
     print("| file, reader | largest difference (px) |\n|---|---|")
     for name, difference in worst.items():
         print(f"| {name} | {difference:.1e} |")
-    agree = (found <= (AGAIN_PX if name == AGAIN else AGREES_PX) for name, found in worst.items())
+    agree = (
+        largest <= (AGAIN_PX if name == AGAIN else AGREES_PX) for name, largest in worst.items()
+    )
     return 0 if all(agree) else 1
 
 
@@ -106,7 +108,7 @@ def random_rig(random: np.random.Generator) -> Rig:
 
 
 def pixels(camera: Camera) -> np.ndarray:
-    """Where trinoc images the points."""
+    """Pixels at which trinoc images the points."""
     return np.asarray(jax.vmap(project, (None, 0))(camera, POINTS_MM))
 
 
@@ -120,9 +122,9 @@ def by_cv2(rig: Rig, path: Path) -> float:
         node = cameras.at(number)
         keys = ("R", "T", "camera_matrix", "distortion_coefficients")
         rotation, translation, matrix, distortion = (node.getNode(key).mat() for key in keys)
-        seen = POINTS_MM @ rotation.T + translation.ravel()
-        found, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), matrix, distortion)
-        differences.append(np.abs(found.reshape(-1, 2) - pixels(camera)).max())
+        in_camera = POINTS_MM @ rotation.T + translation.ravel()
+        images, _ = cv2.projectPoints(in_camera, np.zeros(3), np.zeros(3), matrix, distortion)
+        differences.append(np.abs(images.reshape(-1, 2) - pixels(camera)).max())
     return max(differences)
 
 
@@ -133,11 +135,11 @@ def by_pycolmap(rig: Rig, path: Path, name: str) -> float:
     FORMATS[name].save(rig, path)
     model = pycolmap.Reconstruction(str(path))
     differences = []
-    for own, camera in rig.items():
-        image = model.find_image_with_name(own)
+    for camera_name, camera in rig.items():
+        image = model.find_image_with_name(camera_name)
         pose = image.cam_from_world().matrix()
-        found = model.cameras[image.camera_id].img_from_cam(POINTS_MM @ pose[:, :3].T + pose[:, 3])
-        differences.append(np.abs(np.asarray(found) - 0.5 - pixels(camera)).max())
+        images = model.cameras[image.camera_id].img_from_cam(POINTS_MM @ pose[:, :3].T + pose[:, 3])
+        differences.append(np.abs(np.asarray(images) - 0.5 - pixels(camera)).max())
     return max(differences)
 
 
@@ -186,9 +188,9 @@ def by_mrcal(rig: Rig, path: Path, python: str) -> float:
     done = subprocess.run(
         [python, "-c", MRCAL, *files], input=points, capture_output=True, text=True, check=True
     )
-    found = [np.array(json.loads(line)) for line in done.stdout.splitlines()]
+    images = [np.array(json.loads(line)) for line in done.stdout.splitlines()]
     return max(
-        np.abs(uv - pixels(camera)).max() for uv, camera in zip(found, rig.cameras, strict=True)
+        np.abs(uv - pixels(camera)).max() for uv, camera in zip(images, rig.cameras, strict=True)
     )
 
 

@@ -41,7 +41,7 @@ class SheetGrid(NamedTuple):
 
 
 class LensError(eqx.Module):
-    """How the lens differs from what is said of it.
+    """Difference of the true lens from the stated one.
 
     Fields
     ------
@@ -54,19 +54,19 @@ class LensError(eqx.Module):
     aspect: float = 0.0
     principal_point_px: tuple[float, float] = (0.0, 0.0)
 
-    def of(self, said: Intrinsics) -> Intrinsics:
+    def of(self, stated: Intrinsics) -> Intrinsics:
         """The lens as it is."""
         stretch = (1 + self.focal_length) * np.array([1.0, 1 + self.aspect])
         return Intrinsics(
-            focal_length_px=np.asarray(said.focal_length_px) * stretch,
-            principal_point_px=np.asarray(said.principal_point_px) + self.principal_point_px,
-            distortion=None if said.distortion_model == "none" else np.asarray(said.distortion),
-            image_size_px=said.image_size_px,
+            focal_length_px=np.asarray(stated.focal_length_px) * stretch,
+            principal_point_px=np.asarray(stated.principal_point_px) + self.principal_point_px,
+            distortion=None if stated.distortion_model == "none" else np.asarray(stated.distortion),
+            image_size_px=stated.image_size_px,
         )
 
 
 class Told(NamedTuple):
-    """What the calibration is told.
+    """Input of the calibration besides pattern and lens.
 
     Fields
     ------
@@ -85,7 +85,7 @@ class Told(NamedTuple):
 
 
 class Case(Condition):
-    """A picture, and what the calibration is told of it.
+    """A picture, and the input of its calibration.
 
     Fields
     ------
@@ -153,8 +153,8 @@ def _rolled(sagitta_mm: float) -> Case:
 
 def _misread(parameters: int = 4, **error: Any) -> Case:
     """A lens that only its data sheet describes, and that is another."""
-    told = _DATA_SHEET._replace(parameters=parameters)
-    return Case(lens_error=LensError(**error), told=told)
+    settings = _DATA_SHEET._replace(parameters=parameters)
+    return Case(lens_error=LensError(**error), told=settings)
 
 
 def _off(length: float) -> tuple[float, float]:

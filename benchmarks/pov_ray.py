@@ -110,8 +110,8 @@ def sheet_text(
     for centre, radius, inner in zip(
         pattern.centres_mm, pattern.radius_mm, pattern.inner_radius_mm, strict=True
     ):
-        place = _vector((*centre, 1e-6))
-        parts.append(f"disc {{ {place}, z, {radius:.9f}, {inner:.9f} {_matt(ink, 0.0)} }}\n")
+        centre_text = _vector((*centre, 1e-6))
+        parts.append(f"disc {{ {centre_text}, z, {radius:.9f}, {inner:.9f} {_matt(ink, 0.0)} }}\n")
     return "".join(parts)
 
 

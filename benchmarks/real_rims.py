@@ -71,14 +71,16 @@ def plates(folder: Path, shots: int) -> None:
     sheet = plate(radius_mm)
     print(f"radius by area {radius_mm:.3f} mm")
     lenses = {}
-    for camera, own in images.items():
-        lens = trinoc.calibrate_intrinsics(own, sheet).lens
+    for camera, camera_images in images.items():
+        lens = trinoc.calibrate_intrinsics(camera_images, sheet).lens
         assert lens is not None
         lenses[camera] = lens
     for number, pair in enumerate(zip(*images.values(), strict=True)):
         views: dict[str, np.ndarray] = dict(zip(CAMERAS, pair, strict=True))
-        known = trinoc.Systematics(aim_sigma_mm=1000.0)
-        rig = trinoc.calibrate(views, sheet, lenses, systematics=known, orientation="upright").rig
+        systematics = trinoc.Systematics(aim_sigma_mm=1000.0)
+        rig = trinoc.calibrate(
+            views, sheet, lenses, systematics=systematics, orientation="upright"
+        ).rig
         rims, seconds = rims_of(views, rig)
         of_plate(f"shot {number} ({seconds:.1f} s)", rims, sheet.centres_mm, radius_mm)
 
@@ -96,10 +98,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--shots", type=int, default=6)
     parser.add_argument("--merton", action="store_true")
-    given = parser.parse_args()
+    options = parser.parse_args()
     data = Path(os.environ["TRINOC_DATA"])
-    plates(data / "stereo_circle_plate", given.shots)
-    if given.merton:
+    plates(data / "stereo_circle_plate", options.shots)
+    if options.merton:
         merton(data / "vgg_merton1")
 
 

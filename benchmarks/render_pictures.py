@@ -188,15 +188,15 @@ def make_colours(out: Path, seed: int, threads: int) -> None:
     generator = np.random.default_rng([seed, 2])
     colours = [coloured(grey, generator) for grey in greys]
     text = blocks_text(scene, colours, table, light)
-    seen = {}
+    parts_by_view = {}
     for view, camera in rig.items():
         fine = render(text, camera, fold=COLOUR_FOLD, threads=threads, colour=True)
         light_levels = 257 * exposed_pixels(fine, fold=COLOUR_FOLD, blur_px=COLOUR_BLUR_PX)
         levels = np.clip(np.rint(light_levels), 0, 65535).astype(np.uint16)
         cv2.imwrite(str(folder / f"light_{view}.png"), levels[..., ::-1])
-        seen[view] = seen_parts(scene, camera, fine.mean(axis=-1), fold=COLOUR_FOLD)
+        parts_by_view[view] = seen_parts(scene, camera, fine.mean(axis=-1), fold=COLOUR_FOLD)
     save_rig(rig, folder / "rig.json")
-    truth = SceneTruth(scene.edges_mm, scene.edge_kinds, seen)
+    truth = SceneTruth(scene.edges_mm, scene.edge_kinds, parts_by_view)
     save_scene_truth(truth, folder / "truth.json", {"seed": seed, "blur_px": COLOUR_BLUR_PX})
 
 
@@ -226,7 +226,7 @@ def make_scene(
 
     With `bare_text`, the scene without shadows, also the grey levels that shadows take away.
     """
-    seen, silhouettes = {}, {}
+    parts_by_view, silhouettes = {}, {}
     for offset, (view, camera) in enumerate(rig.items()):
         grey = render(text, camera, fold=fold, threads=threads)
         if bare_text is not None:
@@ -235,9 +235,9 @@ def make_scene(
         write_image(picture, grey, fold=fold, blur_px=blur_px, noise=noise, seed=seed + offset)
         if bare_text is not None:
             write_clean(out / f"clean_{view}.png", grey, fold=fold, blur_px=blur_px)
-        seen[view] = seen_parts(scene, camera, grey, fold=fold)
+        parts_by_view[view] = seen_parts(scene, camera, grey, fold=fold)
         silhouettes[view] = np.round(scene.silhouettes_seen_by(camera), 6).tolist()
-    truth = SceneTruth(scene.edges_mm, scene.edge_kinds, seen)
+    truth = SceneTruth(scene.edges_mm, scene.edge_kinds, parts_by_view)
     about = {
         **about,
         "blur_px": blur_px,
@@ -249,7 +249,7 @@ def make_scene(
 
 
 def write_shadows(path: Path, text: str, bare_text: str, camera: Camera, threads: int) -> None:
-    """What shadows take away from each pixel, without blur and noise, as 8 bits."""
+    """Write the light that shadows take from each pixel, without blur and noise, as 8 bits."""
     shaded, bare = (render(body, camera, fold=1, threads=threads) for body in (text, bare_text))
     cv2.imwrite(str(path), np.clip(np.rint(bare - shaded), 0, 255).astype(np.uint8))
 
