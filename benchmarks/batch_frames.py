@@ -39,7 +39,7 @@ EDGES = PAIRS[(BOX_MM[PAIRS[:, 0]] != BOX_MM[PAIRS[:, 1]]).sum(axis=1) == 1]
 
 
 def edges_mm(generator: np.random.Generator, boxes: int) -> np.ndarray:
-    """(n, 2, 3) edges of boxes of many sizes, at random places of the sheet."""
+    """(n, 2, 3) edges of boxes of many sizes, at random positions on the sheet."""
     sizes = generator.uniform(8, 30, (boxes, 1, 3))
     offsets_mm = np.concatenate(
         [generator.uniform(-60, 60, (boxes, 1, 2)), np.zeros((boxes, 1, 1))], 2
@@ -115,7 +115,7 @@ def rates(folder: Path, count: int) -> None:
 
 
 def ways(frames: Path, out: Path) -> Iterator[tuple[str, Callable[[], object]]]:
-    """The name of each way and its job; jobs without a name compile, and do not count."""
+    """Name and job of each method. A job without a name only compiles, and is not timed."""
     from distributed import LocalCluster
 
     def batch(**options: Any) -> Callable[[], object]:
@@ -138,7 +138,7 @@ def resident_mib() -> float:
 
 
 def memory(folder: Path, count: int) -> None:
-    """Memory, threads and handles of the process as the frames go by."""
+    """Print memory, threads and handles of the process while it matches frames."""
     make_segments(folder / "many", count, 1)
     print(f"\n{'frames done':>12}{'MiB':>8}{'threads':>9}{'handles':>9}")
     steps = set(np.linspace(0, count, 11).astype(int) // 16 * 16) | {count}

@@ -1,4 +1,4 @@
-"""Lines of a real board in three real cameras: do 95 % regions of tracks hold them?
+"""Share of 95 % regions of tracks that contain the lines of a real board in three cameras.
 
     python benchmarks/board_as_scene.py FOLDER [--calibrate 3 7 11 15 17] [--match 1 9 13 21]
 
@@ -57,7 +57,7 @@ def triangulate_corners(
 
 
 def fit_motion(from_mm: np.ndarray, to_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation and shift that carry points to others, by least squares (Kabsch)."""
+    """Rotation and translation from points to other points, by least squares (Kabsch)."""
     middle, other = from_mm.mean(axis=0), to_mm.mean(axis=0)
     u, _, vt = np.linalg.svd((from_mm - middle).T @ (to_mm - other))
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
@@ -106,7 +106,7 @@ def errors_of_tracks(
 
 
 def main() -> None:
-    """Calibrate, match, print."""
+    """Calibrate the rig, match the board's lines and print their errors."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--calibrate", type=int, nargs="*", default=[3, 7, 11, 15, 17, 19, 23, 25])

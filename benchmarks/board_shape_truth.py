@@ -1,4 +1,4 @@
-"""Focal length and principal point of made boards that are not as drawn: bias and reported sigmas.
+"""Bias and sigmas of focal length and principal point from simulated boards of wrong shape.
 
     python benchmarks/board_shape_truth.py [--trials 12] [--shots 16] [--cases mix,bends]
 
@@ -60,7 +60,7 @@ def draw_poses(random: np.random.Generator, count: int) -> list[tuple[np.ndarray
 
 
 def draw_smooth(random: np.random.Generator, rms: float, lowest: int, highest: int) -> np.ndarray:
-    """A random polynomial over the board, without plane, of this root mean square."""
+    """A random polynomial over the board with the given root mean square, its plane removed."""
     terms = [
         random.normal() / (d - lowest + 1) * U**k * V ** (d - k)
         for d in range(lowest, highest + 1)
@@ -133,7 +133,7 @@ def by_opencv(detections: list[Detection]) -> Estimate:
 def by_trinoc(
     detections: list[Detection], systematics: Systematics | None, *, has_shape: bool
 ) -> Estimate:
-    """The same by calibrate_rig."""
+    """fx, fy, cx, cy and their sigmas by calibrate_rig."""
     names = [f"camera.{parameter}_px" for parameter in ("fx", "fy", "cx", "cy")]
     with mock.patch.object(
         shots_fit,

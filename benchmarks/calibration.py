@@ -144,7 +144,7 @@ def _scipy_residual(pose, circles, step):
 
 
 def labelled(detection: Detection, true_px: np.ndarray) -> Detection:
-    """The labelling among those that a plain grid leaves open that is the truth's."""
+    """The true labelling among those that a plain grid leaves ambiguous."""
     choices = [detection.circle_index]
     if detection.ambiguity is not None:
         choices.extend(detection.ambiguity)
@@ -169,7 +169,7 @@ def difference(values: np.ndarray, truth: np.ndarray) -> np.ndarray:
 def by_picture(
     picture: np.ndarray, detection: Detection, pattern: Pattern, model: PoseModel
 ) -> CalibrationResult:
-    """The answer of the grey levels, all else being exact."""
+    """Calibration by the grey levels; all other inputs are exact."""
     priors, images = SheetPriors(model, Systematics()), {"a": picture.astype(np.float32)}
     return calibrate_sheet({"a": detection}, pattern, {"a": LENS}, priors, None, images=images)
 

@@ -1,4 +1,4 @@
-"""The refinement beside the bound of its own picture, under conditions that benches have.
+"""Errors of the refinement against the bound of its own picture, under conditions of benches.
 
     python benchmarks/calibration_conditions.py [--poses N] [--seeds K] [--wide] [--only NAME ...]
 

@@ -1,4 +1,4 @@
-"""Scenes of coloured blocks as cameras deliver them: what colour, exposure and JPEG cost a matcher.
+"""Effect of colour, exposure and JPEG on matching: scenes of coloured blocks, as delivered.
 
     python benchmarks/delivered_scenes.py FOLDER [--only WORD]
 
@@ -93,7 +93,7 @@ def picture(light: np.ndarray, delivery: Delivery, view: int, *, seed: int) -> n
 
 
 def of_delivery(delivery: Delivery, folders: list[Path]) -> str:
-    """A row: the figures over all scenes."""
+    """Row of one delivery: the figures over all scenes."""
     scores, views, outcomes, triples = [], np.zeros(4), [], 0
     for number, folder in enumerate(folders):
         pictures = {

@@ -36,7 +36,7 @@ def pose(
     area: tuple[float, float] | None = None,
     lens: Intrinsics | None = None,
 ) -> Camera:
-    """A camera about the sheet that keeps all of it in view.
+    """A camera at a random pose, with the complete sheet in view.
 
     filled : range of the sheet's larger share of the picture's width or height.
     area : range of the sheet's share of the picture's area instead.
@@ -126,7 +126,7 @@ def uneven_light(random: np.random.Generator) -> Scene:
 
 
 def sloping_light(random: np.random.Generator, low: float, high: float) -> Illumination:
-    """Light that rises by a share of `low` to `high` in 100 mm, in any direction."""
+    """Light that increases by a share of `low` to `high` in 100 mm, in a random direction."""
     angle, slope = random.uniform(0, 2 * np.pi), random.uniform(low, high)
     return Illumination((float(slope * np.cos(angle)), float(slope * np.sin(angle))))
 
@@ -284,7 +284,7 @@ def bent(random: np.random.Generator) -> Scene:
 
 
 def everything(random: np.random.Generator) -> Scene:
-    """All troubles at once, each a little."""
+    """All disturbances at once, each of them small."""
     pattern = Pattern.default()
     camera = pose(random, pattern, obliquity_deg=(0, 60), filled=(0.6, 0.95))
     light = sloping_light(random, 0.0, 0.4)
@@ -318,7 +318,7 @@ def no_sheet(random: np.random.Generator) -> Scene:
 
 
 def other_sheet(random: np.random.Generator) -> Scene:
-    """A sheet with other rings than those of the pattern asked for."""
+    """A sheet whose rings differ from those of the requested pattern."""
     pattern = Pattern.default()
     rings = random.random((8, 8)) < 0.45
     other = Pattern.cross_grid(rows=8, columns=8, pitch_mm=20, radius_mm=6, rings=rings)

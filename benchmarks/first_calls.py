@@ -82,7 +82,7 @@ def _random() -> np.random.Generator:
 
 
 def calibrate(_: Path) -> Callable[[], Any]:
-    """Three pictures of the demo's sheet, with what is typically known."""
+    """Three pictures of the demo's sheet, with the typical systematics."""
     import trinoc
     from trinoc.io import demo_images, demo_pattern
     from trinoc.synth import table1_lens
@@ -204,7 +204,7 @@ class Compilations:
     COMPILING = ("backend_compile_duration",)
 
     def __init__(self) -> None:
-        """Listen from now on."""
+        """Start to listen to JAX."""
         import jax
 
         self._spans: list[tuple[str, int, float, float]] = []
@@ -238,7 +238,7 @@ class Compilations:
 
 
 def measure(name: str, folder: Path) -> dict[str, float]:
-    """The figures of one call, in this process."""
+    """Times and memory of one call, in this process."""
     if os.environ["TRINOC_COMPILE_CACHE"] != "off":
         import trinoc
 

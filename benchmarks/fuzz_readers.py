@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def fuzz(kind: str, folder: Path, seconds: int) -> None:
-    """Never returns: the fuzzer ends the process."""
+    """Fuzz one reader. Never returns: the fuzzer ends the process."""
     import atheris
 
     sys.path.insert(0, str(ROOT))

@@ -126,8 +126,8 @@ def compared(now: dict[str, np.ndarray], frozen: dict[str, np.ndarray]) -> dict[
 
 
 def report(differences: dict[str, Difference], tolerance: float, sigmas: float | None) -> int:
-    """Print what has moved too far, then the largest differences of each part; how many those
-    are."""
+    """Print outputs beyond the tolerance, then the largest differences of each part. Returns the
+    number of outputs beyond the tolerance."""
     worse = {
         name: entry for name, entry in differences.items() if not entry.within(tolerance, sigmas)
     }

@@ -22,7 +22,7 @@ _COMMAND = "import sys; sys.argv[0] = 'trinoc'; from trinoc.cli.program import r
 
 
 def list_imports(statement: str, arguments: list[str]) -> list[tuple[int, str, float, float]]:
-    """(depth, module, ms with what it imports, ms by itself), each before what it imported."""
+    """(depth, module, cumulative ms, own ms) of each import, each before its own imports."""
     command = [sys.executable, "-X", "importtime", "-c", statement, *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     rows = [match.groups() for match in map(_LINE.match, done.stderr.splitlines()) if match]
@@ -48,7 +48,7 @@ def least_times(
 
 
 def package_of(module: str) -> str:
-    """The package of a module, of trinoc its room."""
+    """Package of a module; for trinoc, the subpackage."""
     parts = module.split(".")
     return ".".join(parts[: 2 if parts[0] == "trinoc" else 1])
 

@@ -1,4 +1,4 @@
-"""Intrinsics from ten pictures: error over the Cramer-Rao bound, and whether sigmas are true.
+"""Intrinsics from ten pictures: error over the Cramer-Rao bound, and over the sigmas.
 
     python benchmarks/intrinsics.py [--sets 4] [--trials 10] [--pictures 10] [--pixels]
 
@@ -40,7 +40,7 @@ LENS = np.array([987.65, 1194.03, 250.0, 243.0, -0.2, 0.15, 0.001, -0.0005, -0.0
 
 
 def random_poses(seed: int, count: int) -> np.ndarray:
-    """Poses (k, 3, 4) as people hold a sheet: tilted by 10 to 50 degrees, any side near."""
+    """Poses (k, 3, 4) of a sheet held by hand, tilted by 10 to 50 degrees to any side."""
     generator = np.random.default_rng(seed)
     poses = []
     for _ in range(count):

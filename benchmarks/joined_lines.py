@@ -1,4 +1,4 @@
-"""Collinear tracks joined, ends snapped to corners, and what moves, against the true edges.
+"""Joined lines, corners and marks of viewpoint-dependent tracks, against the true edges.
 
     python benchmarks/joined_lines.py [--seeds N] [--rendered FOLDER]
 
@@ -47,7 +47,7 @@ class Tally:
     """Counts and errors over several scenes."""
 
     def __init__(self) -> None:
-        """Nothing yet."""
+        """Start with empty counts."""
         self.count: Counter[str] = Counter()
         self.values: dict[str, list[float]] = {}
 
@@ -78,7 +78,7 @@ class Tally:
 
 
 def edges_of_tracks(matches: Matches, truth: SegmentTruth) -> np.ndarray:
-    """(t,) the edge of all of a track's segments, NOBODY's or NOT_SCORED."""
+    """(t,) number of the edge that all segments of a track share; else NOBODY or NOT_SCORED."""
     edge = np.full(len(matches), NOBODY)
     for track, row in enumerate(matches.index):
         owners = {
@@ -132,7 +132,7 @@ def outlines(radius_mm: float, sigma_px: float, seeds: int) -> str:
 
 
 def edges_of_lines(lines_mm: np.ndarray, edges_mm: np.ndarray) -> np.ndarray:
-    """(n,) the edge that most of each line is near, or NOBODY's."""
+    """(n,) number of the edge near which most of each line lies, or NOBODY."""
     edge_numbers = np.full(len(lines_mm), NOBODY)
     share = np.linspace(0, 1, 41)[:, None]
     for number, line in enumerate(lines_mm):
@@ -152,7 +152,7 @@ def off_line(points_mm: np.ndarray, edge: np.ndarray) -> np.ndarray:
 def judge_lines(
     tally: Tally, matches: Matches, joined: JoinedLines, edge: np.ndarray, edges_mm: np.ndarray
 ) -> None:
-    """Count pairs of tracks joined, and how far lines are from their edges."""
+    """Count joined pairs of tracks, and add the distances of lines from their edges."""
     of_edge = Counter(edge[edge >= 0].tolist())
     tally.count["true"] += sum(n * (n - 1) // 2 for n in of_edge.values())
     for line in np.flatnonzero(joined.pieces > 1):
@@ -191,7 +191,7 @@ def judge_corners(
     edge: np.ndarray,
     edges_mm: np.ndarray,
 ) -> None:
-    """Count corners, and how far they are from the true ones; `edge` is that of each line."""
+    """Count corners, and add their errors. `edge` is the edge number of each line."""
     ends = edges_mm.reshape(-1, 3)
     met = KDTree(ends).query_ball_point(ends, 1e-3)
     corner_of_end = np.array(

@@ -106,7 +106,7 @@ READERS = [
 
 
 def damaged(content: bytes, random: np.random.Generator) -> bytes:
-    """A copy with one to three damages: cut, flipped, replaced, or with bytes put in."""
+    """A copy with one to three damages: truncated, or with changed or inserted bytes."""
     for _ in range(random.integers(1, 4)):
         position = int(random.integers(0, max(len(content), 1)))
         insertion = HUGE[random.integers(len(HUGE))]

@@ -61,7 +61,7 @@ BINS = np.array([0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0])
 
 
 def fresh_problems(kind: str, count: int) -> Iterator[Problem]:
-    """Scenes of seeds from FRESH_SEED on, which were looked at for nothing but this table."""
+    """Scenes of seeds from FRESH_SEED on, which only this table uses."""
     for seed in range(FRESH_SEED, FRESH_SEED + count):
         rig = table1_rig(resolution=4 if kind.endswith("x4") else 1)
         if kind.startswith("table"):
@@ -172,7 +172,7 @@ def _sided(plain: dict[str, np.ndarray]) -> dict[str, Segments]:
 
 
 def _with_levels(plain: dict[str, np.ndarray], pictures: list[Path]) -> dict[str, Segments]:
-    """These segments with the grey levels beside them in their pictures."""
+    """Segments with the grey levels on their sides, measured in their pictures."""
     levels = {}
     for (view, ends), picture in zip(plain.items(), pictures, strict=True):
         image = np.asarray(cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE))

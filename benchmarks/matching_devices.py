@@ -1,4 +1,4 @@
-"""Matching on every device that JAX finds, each beside the CPU: time, peak memory, same answer.
+"""Matching on each device of JAX against the CPU: time, peak memory, equality of the results.
 
     python benchmarks/matching_devices.py [--counts 500 2000] [--frames 200] [--once]
 
@@ -66,7 +66,7 @@ def _timed(call: Callable[[], Matches], once: bool) -> tuple[str, Matches]:
 
 
 def _seconds(call: Callable[[], Matches]) -> tuple[Matches, float, float]:
-    """(what it returns, seconds of the clock, seconds of processor)."""
+    """(result of the call, wall-clock seconds, processor seconds)."""
     wall, processor = time.perf_counter(), time.process_time()
     result = call()
     return result, time.perf_counter() - wall, time.process_time() - processor

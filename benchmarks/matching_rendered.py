@@ -1,4 +1,4 @@
-"""Matching of rendered pictures: length that is right and found, and whether p is borne out."""
+"""Matching of rendered pictures: precision and recall of length, calibration of posteriors."""
 
 import json
 from collections.abc import Callable
@@ -31,7 +31,7 @@ SURE = 0.9
 
 
 class Place(NamedTuple):
-    """A rendered scene; `triangles_mm` are its surfaces, `shadows` what they take away."""
+    """A rendered scene; `triangles_mm` are its surfaces, `shadows` the removed grey levels."""
 
     name: str
     rig: Rig
@@ -42,7 +42,7 @@ class Place(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Points along the lines put out: whose, the length each stands for, and what it is."""
+    """Points along the matched lines: line number, represented length, and class."""
 
     owner: np.ndarray
     length_mm: np.ndarray

@@ -59,7 +59,7 @@ def collinear_rig(lens: Intrinsics | None = None) -> Rig:
 
 
 def ring(count: int) -> Rig:
-    """Cameras on an arc about the scene, by turns higher and lower."""
+    """Cameras on an arc about the scene, alternately higher and lower."""
     reach = min(20.0 * (count - 1) / 2, 160.0)
     return Rig(
         {
@@ -229,7 +229,7 @@ def _calibration_error(p: np.ndarray, right: np.ndarray) -> float:
 
 
 def _of_a_perfect_one(p: np.ndarray) -> float:
-    """The mean error that posteriors which are true show with so few matches: it is no zero."""
+    """Mean calibration error of true posteriors for this number of matches; not zero."""
     generator = np.random.default_rng(0)
     drawn = (generator.random(len(p)) < p for _ in range(DRAWS))
     return float(np.mean([_calibration_error(p, right) for right in drawn]))

@@ -43,7 +43,7 @@ def errors(matches: Matches, edge: np.ndarray, edges_mm: np.ndarray) -> np.ndarr
 
 
 def crosses_often(matches: Matches) -> np.ndarray:
-    """(t,) whether each image of a line crosses many of the renderer's samples."""
+    """(t,) mask of the lines whose every image crosses many of the renderer's samples."""
     often = np.ones(len(matches), dtype=bool)
     for view in range(len(matches.views)):
         step = np.abs(np.diff(matches.fragments_px[:, view], axis=1)[:, 0]).min(axis=1)

@@ -1,4 +1,4 @@
-"""Do the tests notice when a covariance, a prior or a weight is wrong?
+"""Test that the tests fail if a covariance, a prior or a weight is wrong.
 
     python benchmarks/mutations.py [--only WORD ...] [--jobs 2]
 
@@ -35,7 +35,7 @@ COPIED = (
 
 
 class Mutation(NamedTuple):
-    """A place and what stands there instead.
+    """A text of a file and its wrong replacement.
 
     Fields
     ------
@@ -72,7 +72,7 @@ class Outcome(NamedTuple):
 def run_tests(
     copy: Path, tests: Sequence[str], limit_s: float | None = LIMIT_S, jobs: int = 0
 ) -> Outcome:
-    """Pytest in a copy of the checkout, which stops at the first failure."""
+    """Run pytest in a copy of the checkout, up to the first failure."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", f"-n{jobs}", "-p", "no:cacheprovider"]
     command += ["-m", "not slow", *(f"tests/{path}" for path in tests)]
     environment = {

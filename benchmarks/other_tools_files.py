@@ -1,4 +1,4 @@
-"""Do other tools project the same points to the same pixels from the files that trinoc writes?
+"""Difference in pixels between trinoc and other tools that read the files of trinoc.
 
     python benchmarks/other_tools_files.py [--mrcal-python /usr/bin/python3]
 
@@ -45,7 +45,7 @@ for name in sys.argv[1:]:
 
 
 def main() -> int:
-    """Print a row for each reader, and say whether all agree."""
+    """Print a row for each reader. Returns 0 if all agree."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rigs", type=int, default=20, help="random rigs of three cameras")
     parser.add_argument("--mrcal-python", help="an interpreter that has mrcal")
@@ -113,7 +113,7 @@ def pixels(camera: Camera) -> np.ndarray:
 
 
 def by_cv2(rig: Rig, path: Path) -> float:
-    """OpenCV reads the rig."""
+    """Largest difference in pixels of OpenCV, which reads the rig."""
     FORMATS["opencv"].save(rig, path)
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     cameras = storage.getNode("cameras")
@@ -129,7 +129,7 @@ def by_cv2(rig: Rig, path: Path) -> float:
 
 
 def by_pycolmap(rig: Rig, path: Path, name: str) -> float:
-    """COLMAP reads the model, with its rig and frame."""
+    """Largest difference in pixels of COLMAP, which reads the model with its rig and frame."""
     import pycolmap
 
     FORMATS[name].save(rig, path)
@@ -144,7 +144,7 @@ def by_pycolmap(rig: Rig, path: Path, name: str) -> float:
 
 
 def fisheyes(rig: Rig) -> Rig:
-    """The same cameras with Kannala and Brandt's lens."""
+    """The same cameras with the Kannala-Brandt lens model."""
     cameras = {}
     for number, (name, camera) in enumerate(rig.items()):
         lens = Intrinsics(
@@ -159,7 +159,7 @@ def fisheyes(rig: Rig) -> Rig:
 
 
 def by_aniposelib(rig: Rig, path: Path) -> float:
-    """aniposelib reads the cameras, and writes them again beside."""
+    """Largest difference in pixels of aniposelib, which reads the cameras and rewrites them."""
     from aniposelib.cameras import CameraGroup
 
     FORMATS["anipose"].save(rig, path)
@@ -175,13 +175,13 @@ def by_aniposelib(rig: Rig, path: Path) -> float:
 
 
 def anipose_again(rig: Rig, path: Path) -> float:
-    """trinoc reads what aniposelib wrote."""
+    """Largest difference in pixels after trinoc reads the file that aniposelib wrote."""
     back = FORMATS["anipose"].load(path.with_name(f"again_{path.name}"))
     return max(np.abs(pixels(back[name]) - pixels(camera)).max() for name, camera in rig.items())
 
 
 def by_mrcal(rig: Rig, path: Path, python: str) -> float:
-    """mrcal reads the models."""
+    """Largest difference in pixels of mrcal, which reads the models."""
     FORMATS["mrcal"].save(rig, path)
     files = [str(path / f"{name}.cameramodel") for name in rig]
     points = json.dumps(POINTS_MM.tolist())
@@ -195,7 +195,7 @@ def by_mrcal(rig: Rig, path: Path, python: str) -> float:
 
 
 def again(rig: Rig, path: Path) -> float:
-    """trinoc reads what mrcal wrote, to the digits that mrcal writes."""
+    """Largest difference in pixels after trinoc reads the files that mrcal wrote."""
     back = FORMATS["mrcal"].load(path)
     return max(np.abs(pixels(back[name]) - pixels(camera)).max() for name, camera in rig.items())
 

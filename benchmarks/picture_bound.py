@@ -56,7 +56,7 @@ class Scene:
         )
 
     def spread(self, step_mm: float) -> "Scene":
-        """The same with ink that reaches further by `step_mm`."""
+        """The scene with all ink grown by `step_mm`."""
         pattern = self.pattern
         hole = np.where(pattern.inner_radius_mm > 0, pattern.inner_radius_mm - step_mm, 0.0)
         half_length = tuple(half + step_mm for half in pattern.line_half_length_mm)

@@ -1,4 +1,4 @@
-"""Scenes and cameras as POV-Ray text, and pictures back from POV-Ray (Debian package povray).
+"""Scenes and cameras as POV-Ray text, and their rendering by POV-Ray (Debian package povray).
 
 POV-Ray's image plane is spanned by vectors, so that the camera of a trinoc rig is given to it
 without any angle: rays of pixel (u, v) of a W x H picture run along

@@ -65,7 +65,7 @@ def run_command(arguments: list[str], folder: Path, environment: dict[str, str])
 
 
 def plain_name(name: str) -> str:
-    """A program's name without `jit` and the token that sets equal names apart."""
+    """A program's name without `jit` and the token that distinguishes equal names."""
     name = re.sub(r"^jit[_(](.*?)\)?$", r"\1", name)
     return re.sub(r"_[0-9a-f]{8}$", "", name)
 

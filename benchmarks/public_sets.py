@@ -126,7 +126,7 @@ def _calibrate(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
 
 
 def detect_by_opencv(files: list[Path], board: Any) -> dict[str, Any]:
-    """For each file's name (board places (m, 3), pixels (m, 2)), by the search that people copy."""
+    """Board points (m, 3) and pixels (m, 2) by file name, by OpenCV's usual search."""
     import cv2
     import numpy as np
 
@@ -177,7 +177,7 @@ def detect_by_opencv(files: list[Path], board: Any) -> dict[str, Any]:
 
 
 def by_opencv(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
-    """Each camera by itself: detection, calibrateCamera, shots that were held out; and mrcal."""
+    """Calibrate each camera singly by OpenCV and mrcal, with errors of held-out shots."""
     import cv2
     import numpy as np
 
@@ -280,7 +280,7 @@ def _by_mrcal(
 
 
 def run_worker(project: Path, mode: str, folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
-    """One set in a process of its own; with its processor time, memory and stderr."""
+    """Run one set in its own process. The result has its processor time, memory and stderr."""
     environment = {"OPENBLAS_NUM_THREADS": "1", **os.environ, "PYTHONPATH": str(project)}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryFile() as errors:
@@ -307,7 +307,7 @@ def run_worker(project: Path, mode: str, folder: Path, entry: dict[str, Any]) ->
 
 
 def worker(folder: Path, mode: str) -> None:
-    """The side of the process of one set."""
+    """Calibrate one set in the child process, and write the result to standard output."""
     entry = json.loads(sys.stdin.read())
     answer = (by_trinoc if mode == "trinoc" else by_opencv)(folder, entry)
     answer["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

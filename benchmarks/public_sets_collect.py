@@ -53,7 +53,7 @@ def shots_of_pattern(pattern: str, paths: list[str]) -> dict[str, str]:
 
 
 def in_reading_order(name: str) -> list[tuple[int, str]]:
-    """Key by which 2 sorts before 10."""
+    """Sort key of a name by which 2 comes before 10."""
     parts = re.split(r"(\d+)", name)
     return [(int(part or 0), "") if part.isdigit() else (0, part) for part in parts]
 

@@ -1,4 +1,4 @@
-"""Calibration of pictures as cameras deliver them: do the error bars hold, and who notices?
+"""Calibration of pictures as cameras deliver them: errors over sigmas, statuses and warnings.
 
     python benchmarks/real_pictures.py [--pictures 8] [--first 0] [--conditions NAME ...]
         [--knowledge told default measured exact] [--method pixels points] [--processes 2]
@@ -238,7 +238,7 @@ def summary_of(records: list[Record]) -> Record:
 
 
 def kind_of(note: str) -> str:
-    """A note by its first words, those with numbers left out."""
+    """First seven words of a note, without words that contain digits."""
     words = [word for word in note.split() if not any(letter.isdigit() for letter in word)]
     return " ".join(words[:7])
 
@@ -278,7 +278,7 @@ def errors_of_row(name: str, row: Record) -> str:
 
 
 def chosen(beginnings: list[str]) -> list[str]:
-    """Conditions with one of these names, or that begin with one that is no name."""
+    """Conditions with one of these names; a name of no condition selects by its beginning."""
     names = []
     for beginning in beginnings:
         fit = [beginning] if beginning in CONDITIONS else []

@@ -1,4 +1,4 @@
-"""A real stereo rig: does the relative pose scatter between shots as every shot claims?
+"""Scatter of a real stereo rig's relative pose between shots, over its reported covariance.
 
     TRINOC_DATA=... python benchmarks/real_rig.py [--shots N] [--method pixels points] [--corners]
 

@@ -1,4 +1,4 @@
-"""Rims on photographs: a plate of 100 circles, where each is known, and walls, where none are.
+"""Rims on photographs: a plate of 100 known circles, and walls without circles.
 
     TRINOC_DATA=DIR python benchmarks/real_rims.py [--shots N] [--merton]
 
@@ -58,7 +58,7 @@ def of_plate(name: str, rims: Rims, centres_mm: np.ndarray, radius_mm: float) ->
 
 
 def rims_of(views: dict[str, np.ndarray], rig: Rig) -> tuple[Rims, float]:
-    """Rims, and the processor time that they took."""
+    """Rims of the views, and the processor time in seconds."""
     chords = {view: trinoc.find_segments(image, arcs=True) for view, image in views.items()}
     matches = trinoc.match_segments(chords, rig)
     start = time.process_time()

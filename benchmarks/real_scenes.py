@@ -1,4 +1,4 @@
-"""Tracks of public real scenes, judged by views that the matching did not see.
+"""Tracks of public real scenes, tested in views that were not matched.
 
     python benchmarks/real_scenes.py FOLDER [--only NAME ...] [--sets 3 6 most] [--save DIR]
 
@@ -107,7 +107,7 @@ def matching_sets(rig: trinoc.Rig, wanted: list[str]) -> dict[str, tuple[list[st
 
 
 def clip_to_picture(ends_px: np.ndarray, size_px: np.ndarray) -> np.ndarray:
-    """(n, 2) shares of the way between the ends, from where to where it lies in the picture."""
+    """(n, 2) start and end of each segment's part in the picture, as shares of its length."""
     first, along = ends_px[:, 0], ends_px[:, 1] - ends_px[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         bounds = np.stack([-first / along, (size_px - 1 - first) / along], axis=-1)
@@ -155,7 +155,7 @@ def sigma_across_px(matches: trinoc.Matches, view: View) -> np.ndarray:
 
 
 def judge(matches: trinoc.Matches, rig: trinoc.Rig, held_out_views: list[View]) -> Judged:
-    """Support of each track by the views held out, against that of copies moved in depth."""
+    """Support of each track in held-out views, against the support of copies moved in depth."""
     generator = np.random.default_rng(0)
     centres = np.array([rig[name].centre_world_mm for name in matches.views])
     sees = (matches.index >= 0)[..., None]
@@ -187,7 +187,7 @@ def member_distances(matches: trinoc.Matches, rig: trinoc.Rig) -> np.ndarray:
 
 
 def groups(matches: trinoc.Matches) -> dict[str, np.ndarray]:
-    """Rows of the table: the tracks of each, by number of views and by misfit."""
+    """Masks of the tracks in each row of the table, by number of views and by misfit."""
     count = (matches.index >= 0).sum(axis=1)
     ratio = np.where(count > 3, matches.misfit / np.maximum(2 * (count - 2), 1), np.nan)
     by_views = {str(k): count == k for k in (2, 3, 4, 5)} | {"6+": count > 5, "all": count > 1}
@@ -195,7 +195,7 @@ def groups(matches: trinoc.Matches) -> dict[str, np.ndarray]:
 
 
 def print_group(name: str, rows: np.ndarray, posterior: np.ndarray, verdict: Judged) -> None:
-    """One line of the table: tracks of `rows`, and those judged by posterior."""
+    """Print one line of the table: the tracks of `rows`, and their support by posterior."""
     picked = rows & verdict.decided
     cells, error = [], 0.0
     for low, high in pairwise(EDGES):
@@ -211,7 +211,7 @@ def print_group(name: str, rows: np.ndarray, posterior: np.ndarray, verdict: Jud
 
 
 def judge_scene(scene: Path, wanted: list[str], save: Path | None) -> None:
-    """Match the sets of a scene, judge and print them."""
+    """Match the sets of a scene, test their tracks and print the table."""
     views, rig = load_views(scene)
     counts = np.quantile([len(view.segments) for view in views.values()], [0, 1]).astype(int)
     print(f"\n{scene.name}: {len(views)} views of {counts[0]} to {counts[1]} segments")

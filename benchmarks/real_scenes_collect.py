@@ -59,7 +59,7 @@ def cameras_of(
 
 
 def smaller_camera(camera: trinoc.Camera, size: tuple[int, int]) -> trinoc.Camera:
-    """The camera of the same picture in another size."""
+    """Camera of the same picture, resized to another size."""
     lens = camera.intrinsics
     factor = np.array(size) / lens.image_size_px
     resized = trinoc.Intrinsics(

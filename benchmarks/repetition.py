@@ -1,4 +1,4 @@
-"""Patterns that repeat: whether posteriors are true where neighbours shift together.
+"""Patterns that repeat: calibration of posteriors where whole rows of matches can shift.
 
     python benchmarks/repetition.py [--seeds 3] [--first 1] [--only "comb|pictures"] [--copies]
 
@@ -50,7 +50,7 @@ EXPOSURES = {"fair": 0.9 / 0.85, "overexposed": 2.2}
 
 
 class Rectangles(NamedTuple):
-    """Figures in one plane: middle and size of each, (n, 2), mm, and how far apart they repeat."""
+    """Figures in one plane: middle and size of each, (n, 2), mm, and their period."""
 
     middle: np.ndarray
     size: np.ndarray
@@ -74,7 +74,7 @@ def bricks(columns: int, random: np.random.Generator) -> Rectangles:
 
 
 def of_rectangles(figures: Rectangles) -> np.ndarray:
-    """(e, 2, 3) sides, those of neighbours that are the same once."""
+    """(e, 2, 3) sides of all figures; a side that neighbours share comes once."""
     corners = figures.middle[:, None] + figures.size[:, None] / 2 * [
         [-1, -1],
         [1, -1],
@@ -135,7 +135,7 @@ MADE: dict[str, Callable[[int, np.random.Generator], np.ndarray]] = {
 
 
 class Case(NamedTuple):
-    """Segments of a pattern, its rig, and which tracks are right; what they miss by, if known."""
+    """Segments of a pattern, its rig, and functions for right tracks and squared errors."""
 
     segments: dict[str, Segments]
     rig: Rig
@@ -144,7 +144,7 @@ class Case(NamedTuple):
 
 
 def columns_of(random: np.random.Generator) -> int:
-    """Periods of a pattern: it ends in all pictures, or in none."""
+    """Number of periods: the pattern ends inside all pictures, or inside none."""
     return int(random.integers(10, 15)) if random.random() < 0.6 else 50
 
 
@@ -280,7 +280,7 @@ def measure(case: Case) -> Row:
 
 
 def report(name: str, rows: list[Row]) -> None:
-    """A line of three views and one of pairs."""
+    """Print a line for tracks in three views and one for pairs."""
     p, right, three, is_inside = (
         np.concatenate([getattr(row, field) for row in rows])
         for field in ("posterior", "right", "in_three", "held")
@@ -306,7 +306,7 @@ def report(name: str, rows: list[Row]) -> None:
 
 
 def copies(seed: int) -> None:
-    """Ten copies of one segment, jittered, among segments of loose lines: the tracks on it."""
+    """Print the tracks on ten jittered copies of one segment, among segments of loose lines."""
     rig = table1_rig()
     for jitter_px in (0.0, 0.02, 0.05, 0.1, 0.2, 0.4):
         random = np.random.default_rng(seed)

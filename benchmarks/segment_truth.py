@@ -1,4 +1,4 @@
-"""Segments against the exact edges of rendered scenes: what counts as found, right and how far.
+"""Segments against the exact edges of rendered scenes: recall, precision and errors.
 
 Segments against published segments of photographs: how many of those are found.
 """
@@ -119,7 +119,7 @@ def rendered_images(folder: Path) -> Iterator[Picture]:
 
 
 def pictures_of_scene(path: Path, rig: Rig) -> Iterator[Picture]:
-    """The pictures beside the truth of one scene, as `rendered_images` has them."""
+    """The pictures in the folder of one scene's truth, as of `rendered_images`."""
     truth, record = load_scene_truth(path), json.loads(path.read_text())
     outlines = record["silhouettes_mm"]
     for view, visible_parts in truth.seen.items():
@@ -164,7 +164,7 @@ def shadow_gradient(path: Path, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def score(segments: np.ndarray, picture: Picture) -> Score:
-    """Segments (n, 4) against the edges of a picture.
+    """Score of segments (n, 4) against the edges of a picture.
 
     Samples every half pixel: one is found (right) when a segment (an edge) lies within 1.5 px
     and eight degrees of it. A segment that is right over half of its length is compared with
@@ -217,7 +217,7 @@ def score(segments: np.ndarray, picture: Picture) -> Score:
 
 
 def off_line(edges: np.ndarray, line: np.ndarray) -> np.ndarray:
-    """The edges that are no parts of the line through two points."""
+    """Edges that do not lie on the line through two points."""
     return edges[np.abs(_across(edges, line)).max(axis=1) > SAME_LINE_PX]
 
 

@@ -258,7 +258,7 @@ def nothing_to_find() -> None:
 
 
 class Delivery(NamedTuple):
-    """Light of both sides, of full white, and what makes grey levels of 0 to 255 of it."""
+    """Light of both sides and of full white, and the conversion to grey levels of 0 to 255."""
 
     name: str
     dark: float
@@ -366,7 +366,7 @@ def _photograph_row(
 
 
 def times() -> None:
-    """Boxes of light on a dark ground, as many per area at every size."""
+    """Print times on bright boxes on a dark ground, equally many per area at every size."""
     print("\nms (peak MiB)   " + "".join(f"{name:>17s}" for name in TIMED) + "   trinoc / LSD")
     for width, height, repeats in ((512, 480, 21), (2048, 1920, 7), (6000, 4000, 3)):
         middle = _medians(_boxes(width, height), repeats)
@@ -394,7 +394,7 @@ def _peak_mib(name: str, width: int, height: int) -> float:
 
 
 def _grown_mib(name: str, width: int, height: int) -> float:
-    """Growth of this process's peak by one call; a small picture has loaded what it needs."""
+    """Growth of this process's peak memory by one call, after a call on a small picture, MiB."""
     TIMED[name](_boxes(64, 64))
     grey = _boxes(width, height)
     # The peak counts from here, not from the making of the picture (Linux, "5" in man 5 proc).

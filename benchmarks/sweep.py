@@ -201,7 +201,7 @@ def calibration_figures(name: str, value) -> list[str]:
 
 
 def row_of_figures(name: str, value, seeds: int) -> list[str]:
-    """A value that the code does not bear has a row that says so."""
+    """Figures of one value; if the code fails with it, a row that reports this."""
     try:
         return _row_of_figures(name, value, seeds)
     except Exception as error:
@@ -238,7 +238,7 @@ def scaled(value: Any, factor: float) -> Any:
 
 
 def sweep_each(only: str, factors: list[float], seeds: int) -> None:
-    """Every number times every factor; a row where nothing changes says so."""
+    """Print a row for every number times every factor; "-" if nothing changes."""
     standing: dict[str, list[str]] = {}
     for name in names():
         value = standing_value(name)

@@ -1,4 +1,4 @@
-"""The wire frame of made and rendered scenes beside their true corners, edges and faces.
+"""Wire frames of simulated and rendered scenes, against true corners, edges and faces.
 
     python benchmarks/wireframe.py [--seeds N] [--rendered FOLDER]
 
@@ -40,7 +40,7 @@ class Tally:
     """Counts and errors of several scenes."""
 
     def __init__(self) -> None:
-        """Nothing yet."""
+        """Start with empty counts."""
         self.count: Counter[str] = Counter()
         self.error_mm: list[float] = []
         self.square: list[float] = []
@@ -53,7 +53,7 @@ class Tally:
         solids: tuple[Polyhedron, ...],
         tuning: MatchTuning = DEFAULT,
     ) -> None:
-        """One scene."""
+        """Add the counts and errors of one scene."""
         start = time.process_time()
         frame = trinoc.match.wireframe(matches, rig, tuning=tuning)
         self.count["ms"] += round(1e3 * (time.process_time() - start))
@@ -70,7 +70,7 @@ class Tally:
         self.count["scenes"] += 1
 
     def text(self) -> str:
-        """A line."""
+        """One line with all figures."""
         n = self.count
         inside = np.array(self.square) < chi2.ppf(0.95, 3)
         return (
@@ -95,7 +95,7 @@ def _is_face(vertices_mm: np.ndarray, solids: tuple[Polyhedron, ...]) -> bool:
 
 
 def shape_of_segments(truth: SegmentTruth) -> KnownShape:
-    """The edges of which those parts are wanted that segments of two views cover."""
+    """Known shape whose wanted parts are those that segments of two views cover."""
     labels = np.zeros_like(truth.edges_mm)
     labels[:, :, 0] = np.arange(len(labels))[:, None]
     labels[:, 1, 1] = 1.0

@@ -1,4 +1,4 @@
-"""A wire frame beside a known shape: corners and edges found, missing and extra."""
+"""Score of a wire frame against a known shape: corners and edges found, missing and extra."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""For the page of docstrings: sections as bold words, and "name : what it is" as a list."""
+"""Convert docstrings for their page: sections in bold, and "name : description" as a list."""
 
 import re
 from typing import Any
@@ -7,7 +7,7 @@ import griffe
 
 
 class DocstringMarkdown(griffe.Extension):
-    """Rewrites every docstring before it is shown."""
+    """Converts every docstring to Markdown before it is rendered."""
 
     def on_object(self, *, obj: Any, **_: Any) -> None:
         """Rewrite the docstring of a module, class or function."""
@@ -16,7 +16,7 @@ class DocstringMarkdown(griffe.Extension):
 
 
 def as_markdown(text: str) -> str:
-    """Underlined words are sections; lines such as "x, y : of a point" begin items."""
+    """Markdown of a docstring: underlined words as sections, "x, y : ..." as list items."""
     text = re.sub(r"(?m)^([A-Z]\w+)\n-{3,}$", r"\n**\1**\n", text)
     # The tree of errors is drawn with lines.
     text = re.sub(r"(?m)^(.*\n(?:[├└│].*\n?)+)", r"```text\n\1\n```\n", text)

@@ -24,7 +24,7 @@ def with_options(page: str) -> str:
 def _listed(
     command: str, options: list[tuple[str, str]], first: dict[tuple[str, str], str]
 ) -> list[str]:
-    """A line for each option; those that an earlier command has alike share one, at the end."""
+    """A line for each option. Options equal to an earlier command's share one line at the end."""
     lines, shared = [], {}
     for option, text in options:
         owner = first.setdefault((option, text), command)
@@ -38,7 +38,7 @@ def _listed(
 
 
 def _options(command: str) -> list[tuple[str, str]]:
-    """(how it is typed, what it says) of each option."""
+    """(typed form, description) of each option."""
     rows = [
         (_typed(option), " ".join(filter(None, (option.text, _default(option)))))
         for option in list_options(find_command(command))
@@ -48,7 +48,7 @@ def _options(command: str) -> list[tuple[str, str]]:
 
 
 def _typed(option: Option) -> str:
-    """The option with its short form, what is typed behind it, and its other names."""
+    """The option's main form with its value, and its other names."""
     if not option.typed:
         return f"`{option.metavar}`"
     main_form = f"{option.typed} {option.metavar}".strip()

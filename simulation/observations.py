@@ -1,4 +1,4 @@
-"""2-D segments as a detector gives them, made from a scene, with whose they are.
+"""Simulated 2-D segments of a scene, as a detector reports them, with their true edges.
 
 End points are noisy, segments break in pieces, some are missing in one view, some are
 nobody's, and detectors cut ends back: each by its own number, so that a matcher can be tried
@@ -46,7 +46,7 @@ PERFECT = Detector(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 def simulate_segments(
     scene: Scene, rig: Rig, detector: Detector, *, seed: int
 ) -> tuple[dict[str, Segments], SegmentTruth]:
-    """Segments of every view in random order and direction, and the truth about them.
+    """Segments of every view in random order and direction, and their truth.
 
     Outlines of cylinders, which are no edges, come as segments that are not scored. Lens
     distortion is left out: the segments are those of the undistorted pictures.
@@ -120,7 +120,7 @@ def _cut_back(
 
 
 def _strays(camera: Camera, count: int, generator: np.random.Generator) -> np.ndarray:
-    """Segments of 10 to 80 px anywhere in the picture, as far as they fit."""
+    """Segments of 10 to 80 px at random positions, with ends clipped to the picture."""
     size = np.array(camera.image_size_px, dtype=np.float64)
     middle = generator.uniform(0.0, 1.0, (count, 2)) * size
     angle = generator.uniform(0.0, np.pi, count)

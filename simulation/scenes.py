@@ -11,7 +11,7 @@ from trinoc.synth.visibility import VisibleParts, visible_parts
 
 
 class Scene(eqx.Module):
-    """Edges in space, and what hides them.
+    """Edges in space, and the solids that hide them.
 
     Fields
     ------
@@ -39,7 +39,7 @@ class Scene(eqx.Module):
 
     @classmethod
     def of_edges(cls, edges_mm: Float[np.ndarray, "m 2 3"]) -> "Scene":
-        """A scene of edges alone, all of them seen from everywhere."""
+        """A scene of edges alone, visible from everywhere."""
         count = len(edges_mm)
         return cls(edges_mm, (EDGE,) * count, np.arange(count), ())
 
@@ -55,7 +55,7 @@ class Scene(eqx.Module):
         return visible_parts(camera, self.edges_mm, self.triangles_mm)
 
     def silhouettes_seen_by(self, camera: Camera) -> Float[np.ndarray, "s 2 3"]:
-        """Visible parts of the lines that only this camera takes for edges, ends in space."""
+        """Visible parts of the solids' silhouettes for this camera, as ends in space."""
         lines = [solid.silhouette_mm(camera.centre_world_mm) for solid in self.solids]
         if not lines:
             return np.zeros((0, 2, 3))
@@ -114,7 +114,7 @@ def block_scene(
 
 
 def see_through_boxes(seed: int, *, count: int, reach_mm: float = 80.0) -> Scene:
-    """Boxes of which every edge is seen: junctions and parallels without hidden lines."""
+    """Boxes whose every edge is visible: junctions and parallels without hidden lines."""
     generator = np.random.default_rng(seed)
     edges = []
     for _ in range(count):
@@ -141,7 +141,7 @@ def loose_segments(seed: int, *, count: int, reach_mm: float = 80.0) -> Scene:
 def _random_solid(
     kind: int, generator: np.random.Generator, cylinder_sides: int
 ) -> tuple[Solid, float, tuple[float, float, float] | None]:
-    """A solid on the Z axis, the radius of its footprint, and what a box may stand on."""
+    """A solid on the Z axis, its footprint's radius, and the size of its top for a box."""
     x, y, z = (float(value) for value in generator.uniform((28, 22, 14), (56, 44, 40)))
     radius = float(np.hypot(x, y)) / 2
     if kind == 0:

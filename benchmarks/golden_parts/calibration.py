@@ -56,7 +56,7 @@ def _uncertainty(results) -> Values:
 
 
 def _plain_grid() -> Values:
-    """A sheet that looks the same turned: refused, or as the user says it lies."""
+    """A sheet that looks the same after a turn: refused, or oriented by the user."""
     grid = trinoc.Pattern.circle_grid(rows=6, columns=7, pitch_mm=20.0, radius_mm=6.0)
     rig = table1_rig()
     images = {name: render_sheet(grid, camera, seed=3) for name, camera in rig.items()}
@@ -95,7 +95,7 @@ def calibrate_delivered() -> Values:
 
 
 def calibrate_lit() -> Values:
-    """Pictures under light that is not even, or too much, and of more than eight bits."""
+    """Pictures under uneven or too strong light, and pictures of more than eight bits."""
     yield from _conditions("vignette and broad glare", "overexposed", "16 bit")
 
 

@@ -1,4 +1,4 @@
-"""Edges of single pictures: segments, junctions, and whether a picture is good."""
+"""Edges of single pictures: segments, junctions and image quality."""
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def segments() -> Values:
 
 
 def capture() -> Values:
-    """Qualities of good and of bad pictures."""
+    """Quality reports of good and of bad pictures."""
     sheet, demo = trinoc.Pattern.default(), demo_images("sheet")
     pictures = {name: delivered(name)[0] for name in ("reference", "overexposed", "16 bit", "card")}
     pictures["blur 2 px"] = delivered("blur 2 px")[0]

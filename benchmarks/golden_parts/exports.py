@@ -41,7 +41,7 @@ def exports() -> Values:
 
 
 def _values() -> Values:
-    """A value of each kind that files hold; made without a fit, so that these do not move."""
+    """A value of each kind that files hold, made without a fit so that the values stay equal."""
     rig = knocked_rig()
     keys = [f"{name}.{key}" for name in rig.names for key in ("pan_deg", "distance_mm")]
     covariance = 1e-4 * (np.eye(len(keys)) + 0.1)
@@ -89,7 +89,7 @@ def _own_file(name: str, value: Any, path: Path) -> Values:
 
 
 def _content(file: Path, folder: str) -> str:
-    """The text of a file without the day and place of its writing; of other bytes their digest."""
+    """Text of a file without its date and folder; for binary files, their digest."""
     data = file.read_bytes()
     if file.suffix == ".mat":
         data = data[128:]  # the header holds the day

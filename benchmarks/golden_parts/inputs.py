@@ -88,7 +88,7 @@ def five_view_rig() -> trinoc.Rig:
 
 @cache
 def delivered(name: str, seed: int = 1) -> tuple[np.ndarray, trinoc.Intrinsics, Case]:
-    """(picture, lens as it is said to be, condition) of a named way in which cameras deliver."""
+    """(picture, stated lens, condition) of a named condition."""
     condition, ideal = CONDITIONS[name], table1_lens()
     camera = condition.camera(ideal, POSE)
     picture = camera_picture(trinoc.Pattern.default(), camera, condition, seed=seed)

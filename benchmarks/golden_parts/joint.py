@@ -1,4 +1,4 @@
-"""Cameras and lines refined together, and whether a rig still stands as it did."""
+"""Joint refinement of cameras and lines, and the test for knocked cameras."""
 
 from functools import partial
 

@@ -1,4 +1,4 @@
-"""Matches, and what is made of them: measured, straight lines, corners, frames, rims."""
+"""Matches, and results from them: measured and straight lines, corners, frames, rims."""
 
 import os
 from collections.abc import Iterator

@@ -45,13 +45,13 @@ def array_of(value: Any) -> np.ndarray:
 
 
 def fields(prefix: str, value: Any, names: tuple[str, ...]) -> Values:
-    """The named attributes of an answer; one that is gone is a difference and no end."""
+    """Named attributes of a result. A missing attribute is recorded and raises nothing."""
     for name in names:
         yield f"{prefix}.{name}", getattr(value, name, "no such field")
 
 
 def attempt(prefix: str, call: Callable[[], Any], record: Callable[[str, Any], Values]) -> Values:
-    """An answer, or the sentence with which it was refused."""
+    """The result of a call, or the message of its exception."""
     try:
         value = call()
     except TrinocError as error:
@@ -85,7 +85,7 @@ def calibration(prefix: str, result: Any) -> Values:
 
 
 def rig(prefix: str, value: Any) -> Values:
-    """Projections, and the covariance that travels with them."""
+    """Projection matrices of a rig and its covariance."""
     yield f"{prefix}.matrices_px", value.matrices_px
     yield from fields(prefix, value, ("names", "parameters", "covariance"))
 

@@ -1,4 +1,4 @@
-"""Lenses and rigs from many shots: places on every kind of board, and grey levels on a few."""
+"""Lenses and rigs from many shots: corners of every kind of board, grey levels of a few."""
 
 from functools import partial
 
@@ -94,7 +94,7 @@ def _rig(label: str, title: str, cameras: tuple[str, ...], count: int, **options
 
 
 def _with_advice(prefix: str, result: CalibrationResult) -> Values:
-    """A rig, its sigma over the field, and the shot that would tell most."""
+    """A rig, its sigma over the field, and the most informative next shot."""
     yield from records.rig_of_shots(prefix, result)
     if not result.has_rig:
         return

@@ -1,4 +1,4 @@
-"""Disturbed rigs, coverage of 3-D segments, a sheet helped by segments; matches are given.
+"""Disturbed rigs, coverage of 3-D segments, and a sheet with segments; all matches are given.
 
 Lines about the paper's rig are projected, and noise drawn from the claimed covariance; wrong
 matches get another segment's fragment in one view.
@@ -35,7 +35,7 @@ def projected(matrices: np.ndarray, ends_mm: np.ndarray) -> np.ndarray:
 def made_lines(
     random: np.random.Generator, tracks: int, sigma_px: float, wrong: float, reach_mm: float = 70
 ) -> tuple[LineObservations, np.ndarray, np.ndarray]:
-    """(observations, true ends, which are wrong); a fifth of the tracks is seen in two views."""
+    """(observations, true ends, mask of wrong ones); a fifth of the tracks has only two views."""
     middle = random.uniform(-reach_mm, reach_mm, (tracks, 3))
     middle[:, 2] = np.abs(middle[:, 2])
     direction = random.standard_normal((tracks, 3))
@@ -58,7 +58,7 @@ def made_lines(
 
 
 def started_from(rig: Rig, lines: LineObservations) -> LineObservations:
-    """The same fragments, with lines triangulated by a (disturbed) rig."""
+    """The same fragments, with lines triangulated by another (disturbed) rig."""
     from trinoc.geometry import triangulate_segment
     from trinoc.numerics.precision import in_float64
 
@@ -74,7 +74,7 @@ def started_from(rig: Rig, lines: LineObservations) -> LineObservations:
 
 
 def knocked_cameras(trials: int) -> None:
-    """One camera disturbed, the two others known by their sheet: error before and after."""
+    """Print errors before and after for one disturbed camera and two calibrated by their sheet."""
     print("\nOne camera knocked; rms error of its angles (deg) and distance (mm) before -> after")
     print(f"{'deg, mm':>12} {'lines':>6} {'wrong':>6}  {'angle':>18}  {'distance':>16}"
           f"  within 3 sigma  wrong found")  # fmt: skip
@@ -106,7 +106,7 @@ def knocked_cameras(trials: int) -> None:
 
 
 def coverage(trials: int) -> None:
-    """Do 95 % ellipsoids hold the true segments, and how near is the error to its bound?"""
+    """Print the share of 95 % ellipsoids that contain the true segments, and error over bound."""
     print("\nCoverage of 3-D segments: share inside 95 % ellipsoids, mean chi-square (6), and")
     print("median error over the median of errors drawn from the bound (true cameras and noise)")
     for label, sheet in (("good sheet", 1.0), ("poor sheet, 20 x", 20.0)):
@@ -137,7 +137,7 @@ def coverage(trials: int) -> None:
 
 
 def sheet_and_segments(trials: int) -> None:
-    """Held-out segments: 3-D error by the sheet alone, and by sheet and segments."""
+    """Print the 3-D error of held-out segments by the sheet alone, and by sheet and segments."""
     print("\nSheet alone against sheet and segments, on 200 held-out lines without noise:")
     for sheet in (1.0, 10.0, 100.0):
         sigma = sheet * np.where(ANGLE, 0.0015, 0.0045)
@@ -157,7 +157,7 @@ def sheet_and_segments(trials: int) -> None:
 
 
 def every_camera(trials: int) -> None:
-    """All cameras disturbed: with a sheet of that size, and with none, gauge taken out."""
+    """Print errors for all cameras disturbed: with such a sheet, and without, up to the gauge."""
     print("\nAll cameras disturbed, matches given; rms error of orientation (deg) and centre (mm)")
     print("after the best similarity of the whole rig, before -> after")
     for with_sheet in (True, False):

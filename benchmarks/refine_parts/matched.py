@@ -1,4 +1,4 @@
-"""Knocked rigs corrected by segments that the matcher joins: matches recovered, errors, basin.
+"""Knocked rigs corrected by matched segments: recovered matches, errors, convergence range.
 
 Made scenes (blocks on a table, see-through boxes, loose segments; ends with 0.5 px of noise, a
 fifth broken, a fifth nobody's). Cameras are turned about any axis and shifted any way after the
@@ -36,7 +36,7 @@ Trial = tuple[Rig, Rig, dict[str, Segments], SegmentTruth, str]
 
 
 def trials_of(make, size: tuple[float, float], count: int, every: bool) -> Iterator[Trial]:
-    """(sheet's rig, true rig, segments, whose they are, a knocked camera)."""
+    """(sheet's rig, true rig, segments, their true edges, name of a knocked camera)."""
     for seed in range(FIRST_SEED, FIRST_SEED + count):
         random = np.random.default_rng(seed)
         name = TRUE_RIG.names[seed % 3]
@@ -48,7 +48,7 @@ def trials_of(make, size: tuple[float, float], count: int, every: bool) -> Itera
 def corrected(
     start_rig: Rig, segments: dict[str, Segments], name: str, every: bool, schedule: str
 ) -> RefineResult:
-    """One refinement, matched once, again and again, or from tolerant to strict."""
+    """One refinement with matches of the start rig, or rematched from tolerant to strict."""
 
     def match(rig: Rig, sigma_px: float | None = None):
         return match_segments(segments, rig, sigma_px=sigma_px)

@@ -29,7 +29,7 @@ TOLERANT_SIGMA_PX = 4.0  # as the command takes it
 
 
 def reprojection_px(rig: Rig, images: list[np.ndarray], where: np.ndarray) -> tuple[float, float]:
-    """(rms, median) distance of points from their images, each placed by least squares."""
+    """(rms, median) reprojection error of points triangulated by least squares, px."""
     matrices = rig.matrices_px
     distances = []
     for row in where:
@@ -45,7 +45,7 @@ def reprojection_px(rig: Rig, images: list[np.ndarray], where: np.ndarray) -> tu
 
 
 def _point(matrices: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """The point whose images lie nearest: the linear one, then Gauss and Newton's steps."""
+    """Triangulated point: the linear solution, then Gauss-Newton steps."""
     rows = np.concatenate([uv[:, :1] * matrices[:, 2] - matrices[:, 0],
                            uv[:, 1:] * matrices[:, 2] - matrices[:, 1]])  # fmt: skip
     rows /= np.linalg.norm(rows[:, :3], axis=1, keepdims=True)
@@ -60,7 +60,7 @@ def _point(matrices: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 
 def published(segments: dict[str, np.ndarray], matches: np.ndarray, rig: Rig) -> LineObservations:
-    """The published matches, their lines placed by a rig."""
+    """The published matches, with lines triangulated by a rig."""
     view_segments = {
         view: Segments.from_endpoints(segments[view][matches[:, v]]) for v, view in enumerate(VIEWS)
     }
@@ -81,7 +81,7 @@ def published(segments: dict[str, np.ndarray], matches: np.ndarray, rig: Rig) ->
 
 
 def run(folder: Path, trials: int, *, published_only: bool) -> None:
-    """Print the tables; with `published_only` nothing is matched by trinoc."""
+    """Print the tables; `published_only` leaves out the matches of trinoc."""
     data = np.load(folder / "vgg_merton1" / "merton1.npz")
     segments = {view: data[f"segments_{v}"] for v, view in enumerate(VIEWS)}
     points = [data[f"corners_{v}"] for v in range(3)]

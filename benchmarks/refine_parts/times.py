@@ -22,11 +22,11 @@ from trinoc.geometry.rig import Rig
 
 
 class Stopped(Exception):
-    """A solver took longer than it was given."""
+    """A solver took longer than its time limit."""
 
 
 def times(scipy_seconds: int) -> None:
-    """Warm time and memory beside scipy with the same problem's sparsity."""
+    """Print warm time and memory, against scipy with the same problem's sparsity."""
     print("\nTime of one refinement (six free numbers per camera, no sheet), and peak memory")
     for tracks in (100, 1000, 10_000):
         random = np.random.default_rng(tracks)
@@ -60,7 +60,7 @@ def peak_mib() -> float:
 
 
 class Residuals:
-    """The same unknowns and residuals in NumPy: distances of ends across lines, in sigmas."""
+    """Unknowns and residuals of `refine` in NumPy: distances of ends across lines, in sigmas."""
 
     def __init__(self, rig: Rig, lines: LineObservations) -> None:
         self.lines = lines
@@ -89,7 +89,7 @@ class Residuals:
         return self.lines.lines_mm + moved
 
     def all(self, x: np.ndarray) -> np.ndarray:
-        """Every residual, for scipy."""
+        """All residuals, as a vector for scipy."""
         tracks, views = self.lines.seen.shape
         step, offset = x[: 6 * views].reshape(views, 6), x[6 * views :].reshape(tracks, 2, 2)
         image = projected(self.matrices(step), self.ends(offset))
@@ -97,7 +97,7 @@ class Residuals:
         return np.where(self.lines.seen[..., None], distance, 0.0).reshape(-1)
 
     def scipy(self) -> None:
-        """least_squares with the sparsity of the Jacobian, and soft_l1."""
+        """Solve by least_squares with the Jacobian's sparsity and soft_l1; print the outcome."""
         tracks, views = self.lines.seen.shape
         pattern = lil_matrix((tracks * views * 2, 6 * views + 4 * tracks), dtype=np.int8)
         for track in range(tracks):

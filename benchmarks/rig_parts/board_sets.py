@@ -1,4 +1,4 @@
-"""Cameras that never see one board: errors over the bound and over the claimed sigmas.
+"""Cameras that never see the same board: errors over the bound and over the reported sigmas.
 
 Two cameras with unknown lenses of four coefficients, and two boards that are fixed to each other in
 a way that nobody knows; each camera sees a board of its own, never the other's. "around": a block

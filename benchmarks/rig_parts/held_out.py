@@ -1,4 +1,4 @@
-"""Errors of shots that a rig was not fitted to, on two real stereo sets, beside OpenCV.
+"""Errors in held-out shots of two real stereo sets, against OpenCV.
 
 Every second shot tells lenses and rig; of each other shot the board's pose alone is fitted, to what
 one camera saw of it. What remains in that camera is the lens's error, what the other camera then
@@ -85,7 +85,7 @@ def opencv_rig(
 def opencv_errors(
     observations: dict[int, dict[int, Seen]], size_px: tuple[int, int], *, free: bool
 ) -> tuple[list[float], list[float]]:
-    """Root mean squares: in each camera by its own pose of the board, and by the other's."""
+    """Rms errors per camera, with the board's pose from this camera and from the other one."""
     shots = sorted(set(observations[0]) | set(observations[1]))
     own_errors: list[list[np.ndarray]] = [[], []]
     across: list[list[np.ndarray]] = [[], []]

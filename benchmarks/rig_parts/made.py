@@ -1,4 +1,4 @@
-"""A rig and its lenses from many shots: errors over the bound and over the claimed sigmas.
+"""A rig and its lenses from many shots: errors over the bound and over the reported sigmas.
 
 Three cameras with unknown lenses of four coefficients, and what a detector with the stated
 noise reports of a chessboard (corners) and of our sheet (circles, by the exact centres of their
@@ -196,7 +196,7 @@ def by_opencv(target, detections, *, free: bool) -> dict[str, float]:
 
 
 def by_multiview(target, detections) -> dict[str, float]:
-    """OpenCV 5's joint estimate; in millimetres it takes every board for a line."""
+    """OpenCV 5's joint estimate, in metres: in millimetres it treats every board as a line."""
     everything = np.pad(target.centres_mm / METRE_MM, ((0, 0), (0, 1))).astype(np.float32)
     shots = len(detections["left"])
     image, mask = [], np.zeros((len(detections), shots), np.uint8)

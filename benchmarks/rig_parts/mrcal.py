@@ -64,7 +64,7 @@ def calibrate_by_mrcal(
 
 
 def _model(file: Path) -> dict:
-    """A cameramodel is a dictionary of Python with comments and values that are not."""
+    """Parse a cameramodel file: a Python dictionary with comments and non-literal values."""
     text = "\n".join(
         line.split("#")[0]
         for line in file.read_text(encoding="utf-8").splitlines()

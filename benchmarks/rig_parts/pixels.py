@@ -73,7 +73,7 @@ BARE: Any = SimpleNamespace(
 
 
 class Setup(NamedTuple):
-    """Lenses by camera; turn about Y and place along X of each; board poses by a generator."""
+    """Lenses, and cameras' angle about Y and position along X, by camera; random board poses."""
 
     model: type[AbstractLens]
     lenses: dict[str, tuple[float, ...]]
@@ -258,7 +258,7 @@ def is_found(board, picture) -> bool:
 
 
 def labelled(result) -> dict:
-    """The detections of each camera by shot, turned as all cameras have them."""
+    """Detections of each camera by shot, with the orientation that all cameras agree on."""
     detections = {name: [None] * SHOTS for name in result.cameras}
     for view in result.views:
         detections[result.cameras[view.camera]][view.shot] = view.detection

@@ -51,7 +51,7 @@ unproject = jax.jit(jax.vmap(lambda lens, uv_px: lens.unproject(uv_px), (None, 0
 
 
 class Error(NamedTuple):
-    """Over the field, in px: root mean square, largest; claimed sigma, and error over it."""
+    """Errors over the field in px: rms, largest, reported sigma, and error over sigma."""
 
     rms: float
     largest: float
@@ -60,7 +60,7 @@ class Error(NamedTuple):
 
 
 class Bump(NamedTuple):
-    """By how much pixels of the core are moved (2,), about where, how far around; px."""
+    """Displacement of the core's pixels: amplitude (2,), centre and width, px."""
 
     height: Float[np.ndarray, "2"]
     middle: Float[np.ndarray, "2"]
@@ -85,7 +85,7 @@ def seen(rays: Float[np.ndarray, "n 3"], bump: Bump) -> Float[np.ndarray, "n 2"]
 
 
 def shots(count: int, seed: int, bump: Bump) -> list[Detection]:
-    """The board held all over the picture, tilted by up to 40 degrees."""
+    """Detections of a board all over the picture, tilted by up to 40 degrees."""
     random, detections = np.random.default_rng(seed), []
     while len(detections) < count:
         about, tilt = random.uniform(0, 2 * np.pi), np.radians(random.uniform(16, 40))
@@ -123,7 +123,7 @@ def field_rays() -> Float[np.ndarray, "n 3"]:
 def turned_error(
     pixels: Callable[[np.ndarray], np.ndarray], bump: Bump
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "3"]]:
-    """Errors of a lens over the field, after the turn that makes them least, and that turn."""
+    """Errors of a lens over the field after the rotation that minimises them, and the rotation."""
     rays, true = field_rays(), seen(field_rays(), bump)
 
     def off(turn: np.ndarray) -> np.ndarray:
@@ -136,7 +136,7 @@ def turned_error(
 def sigmas_px(
     lens: AbstractLens, covariance: np.ndarray, turn: np.ndarray
 ) -> Float[np.ndarray, "n 2"]:
-    """Claimed, of the same pixels, a turn taken out."""
+    """Reported sigmas of the same pixels, without the part that a rotation explains."""
     rays = field_rays() @ Rotation.from_rotvec(turn).as_matrix().T
 
     @jax.jit
@@ -171,7 +171,7 @@ def by_trinoc(made: Sequence[Detection], model: str, bump: Bump) -> tuple[Error,
 
 
 def by_mrcal(made: Sequence[Detection], model: str, bump: Bump) -> tuple[Error, float]:
-    """(error, seconds); mrcal's sigmas are not asked for."""
+    """(error, seconds); the sigmas are NaN, because mrcal is not asked for them."""
     lines = ["# filename x y level"]
     for shot, detection in enumerate(made):
         corners_px = np.full((len(BOARD), 2), np.nan)

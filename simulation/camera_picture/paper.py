@@ -1,4 +1,4 @@
-"""The printed sheet: what the ink covers, how much light paper and ink give back, the table."""
+"""The printed sheet: figures of ink, reflectances of paper and ink, and the table."""
 
 from typing import Protocol, runtime_checkable
 
@@ -19,7 +19,7 @@ _GRAIN = np.array(
 
 @runtime_checkable
 class SheetFigures(Protocol):
-    """Circles and crossed lines in mm on Z = 0; the fields mean what `trinoc.Pattern`'s do."""
+    """Circles and crossed lines in mm on Z = 0, with fields as of `trinoc.Pattern`."""
 
     centres_mm: Float[np.ndarray, "n 2"]
     radius_mm: Float[np.ndarray, "n"]
@@ -97,7 +97,7 @@ class TableTop(eqx.Module):
 def printed_layers(
     pattern: SheetFigures, *, paper: float, ink: float, ink_gain_mm: float = 0.0
 ) -> tuple[Layer, ...]:
-    """The print as layers of paint, lowest first, every edge of ink `ink_gain_mm` further out.
+    """The print as layers of paint, lowest first; all ink is grown by `ink_gain_mm`.
 
     Lines that are white inside circles stay as wide as they were drawn.
     """

@@ -62,7 +62,7 @@ def render_sheet(
     seed: int = 0,
     bits: int | None = 8,
 ) -> Shaped[np.ndarray, "h w"]:
-    """The plain picture of a flat sheet, all told in grey levels from 0 to 255.
+    """The plain picture of a flat sheet; all inputs are grey levels from 0 to 255.
 
     A linear camera with a Gaussian blur of `blur_px`, the pixel's box apart, and `noise_sigma`.
     Paper reaches to the horizon unless there is a `table`. Without `bits`, the light on the

@@ -1,4 +1,4 @@
-"""Light from the sheet toward the lens, finely divided, before anything blurs it.
+"""Light from the sheet toward the lens, finely sampled, before any blur.
 
 A pixel that an edge may cross is divided into S x S cells, and each cell is the mean of the
 shares that ink, paper and table have of its area; elsewhere a pixel is all one level.
@@ -27,7 +27,7 @@ class SheetScene(eqx.Module):
 
 
 class Radiance(eqx.Module):
-    """Light from every place of a picture and of a margin; 1 is a perfect diffuser in full light.
+    """Light toward each pixel of a picture and its margin; 1 is a perfect diffuser in full light.
 
     Fields
     ------
@@ -108,7 +108,7 @@ def _find_edge_pixels(
 def _outlines_in_view(
     layers: tuple[Layer, ...], centres_mm: Float[np.ndarray, "h w 2"]
 ) -> tuple[list[Float[np.ndarray, "_ 2"]], list[bool]]:
-    """The layers' outlines as far as they can be seen, and whether that is all of each.
+    """Visible points of the layers' outlines, and for each layer whether all are visible.
 
     Neighbouring points are a third of the smallest pixel apart.
     """
@@ -128,7 +128,7 @@ def _outlines_in_view(
 def _mark_pixels(
     uv_px: Float[np.ndarray, "n 2"], shape: tuple[int, int]
 ) -> Bool[np.ndarray, "h w"]:
-    """The pixels that hold one of the points."""
+    """Mask of the pixels that contain one of the points."""
     height, width = shape
     inside = ((uv_px > -0.5) & (uv_px < (width - 0.5, height - 0.5))).all(axis=1)
     pixel = np.rint(uv_px[inside]).astype(np.int64)
@@ -149,7 +149,7 @@ def _widen_marks(crossed: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def _box(uv_px: Float[np.ndarray, "n 2"], shape: tuple[int, int]) -> Int[np.ndarray, "2 2"]:
-    """Rows and columns, from and to, of the canvas that hold points, a pixel to spare."""
+    """Ranges of the canvas's rows and columns that contain points, with a pixel's margin."""
     if not np.isfinite(uv_px).all():
         return np.array([(0, 0), shape])
     low = np.clip(np.floor(uv_px.min(axis=0))[::-1] - 1, 0, shape)

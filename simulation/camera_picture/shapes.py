@@ -17,7 +17,7 @@ class Shape(Protocol):
     """Interface of a plane figure for the renderer."""
 
     def level_mm(self, points_mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-        """Below zero inside the figure, zero on its boundary; near it, the distance in mm."""
+        """Level: negative inside, zero on the boundary; near the boundary, the distance in mm."""
         ...
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
@@ -110,13 +110,13 @@ class Intersection(eqx.Module):
         return np.maximum(self.first.level_mm(points_mm), self.second.level_mm(points_mm))
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
-        """Both outlines whole, which is more than the boundary."""
+        """Both complete outlines, which contain the boundary."""
         first, second = self.first.outline_mm(step_mm), self.second.outline_mm(step_mm)
         return np.concatenate([first, second])
 
 
 class Cells(eqx.Module):
-    """Some of the cells between lines along X and Y, those that touch without a seam.
+    """Selected cells of a grid of lines along X and Y; touching cells have no seam.
 
     Chessboards, markers, grids of tags.
 
@@ -132,7 +132,7 @@ class Cells(eqx.Module):
     inside: Bool[np.ndarray, "_r _c"]
 
     def level_mm(self, points_mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-        """Distance from the nearest cell unlike the own one, up to the least width of a cell."""
+        """Signed distance from the nearest cell of the other kind, at most the least cell width."""
         x, y = points_mm[..., 0], points_mm[..., 1]
         column, row = np.searchsorted(self.x_mm, x), np.searchsorted(self.y_mm, y)
         # Cells farther than the neighbours are no nearer than this: the level has no jump.

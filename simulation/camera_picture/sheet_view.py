@@ -1,4 +1,4 @@
-"""The lens over a sheet that need not be flat: which point of the print each pixel shows.
+"""Mapping between the pixels of a lens and the points of a sheet, which may be bent.
 
 It is found by Newton's method at the centre of each pixel. In between it is so smooth that a
 quadratic through neighbouring pixels is off by (pixels / focal length)^2 of a pixel at most.
@@ -29,7 +29,7 @@ _NEWTON_STEPS, _NEWTON_PX = 8, 1e-10
 
 
 class SheetView(eqx.Module):
-    """A camera over a sheet as it lies; points are in the nominal millimetres of the layout."""
+    """A camera over a sheet; points are in the nominal millimetres of the layout."""
 
     camera: Camera
     paper: Paper
@@ -159,7 +159,7 @@ def _world(paper: Paper, place_mm: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3
 
 
 def _as_arrays(paper: Paper) -> Paper:
-    """The same with arrays for numbers, so that no other sheet compiles again."""
+    """The paper with arrays for numbers, so that other sheets need no new compilation."""
     return jax.tree.map(lambda leaf: np.asarray(leaf, dtype=np.float64), paper)
 
 
