@@ -15,7 +15,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from matching import _calibration_error as calibration_error
-from matching_rendered import Place, score_place
+from matching_rendered import RenderedScene, score_scene
 from shared_scenes import VIEWS
 
 import trinoc
@@ -102,13 +102,13 @@ def of_delivery(delivery: Delivery, folders: list[Path]) -> str:
         }
         truth = load_scene_truth(folder / "truth.json")
         rig = load_rig(folder / "rig.json")
-        scene = Place(folder.name, rig, truth, pictures, np.zeros((0, 3, 3)), None)
+        scene = RenderedScene(folder.name, rig, truth, pictures, np.zeros((0, 3, 3)), None)
         segments = {
             name: trinoc.find_segments(image, response=delivery.response)
             for name, image in pictures.items()
         }
         matches = trinoc.match_segments(segments, rig)
-        score, by_views, outcome = score_place(scene, matches)
+        score, by_views, outcome = score_scene(scene, matches)
         scores.append(score)
         views += by_views
         outcomes += outcome

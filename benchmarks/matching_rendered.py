@@ -30,7 +30,7 @@ TOLERANCE_MM, GREY_STEP, STEP_MM = 1.0, 8.0, 0.5
 SURE = 0.9
 
 
-class Place(NamedTuple):
+class RenderedScene(NamedTuple):
     """A rendered scene; `triangles_mm` are its surfaces, `shadows` the removed grey levels."""
 
     name: str
@@ -53,12 +53,16 @@ class Samples(NamedTuple):
 def table_of_rendered(folder: Path | None, calibration_error: Callable) -> None:
     """Print the demo's figures and, of the scenes in a folder, the means."""
     print("\n## Rendered pictures: precision (shadow lines neither way) / recall of length at 1 mm")
-    demo = _place(Path(trinoc.synth.__file__).parent / "demo", table1_rig())
+    demo = load_rendered_scene(Path(trinoc.synth.__file__).parent / "demo", table1_rig())
     for label, detector in DETECTORS.items():
         figures, _ = _figures(demo, detector)
         print(f"demo        {label:28s} {_words(figures)}", flush=True)
     folders = sorted(folder.iterdir()) if folder else []
-    scenes = [_place(f, load_rig(f / "rig.json")) for f in folders if (f / "truth.json").exists()]
+    scenes = [
+        load_rendered_scene(f, load_rig(f / "rig.json"))
+        for f in folders
+        if (f / "truth.json").exists()
+    ]
     for label, detector in DETECTORS.items() if scenes else ():
         rows, strict, lenient = [], [], []
         for scene in scenes:
@@ -92,7 +96,7 @@ DETECTORS: dict[str, Callable[[np.ndarray], Segments]] = {
 
 
 def _figures(
-    scene: Place, detector: Callable[[np.ndarray], Segments]
+    scene: RenderedScene, detector: Callable[[np.ndarray], Segments]
 ) -> tuple[np.ndarray, list[tuple[float, bool, bool]]]:
     """(precision, the same without shadows, recall) of all, triples and sure ones; outcomes."""
     segments = {view: detector(picture) for view, picture in scene.pictures.items()}
@@ -127,8 +131,8 @@ def length_by_views(truth: SceneTruth, lines_mm: np.ndarray) -> np.ndarray:
     return np.array([weight[part].sum() for part in parts])
 
 
-def score_place(
-    scene: Place, matches: Matches
+def score_scene(
+    scene: RenderedScene, matches: Matches
 ) -> tuple[np.ndarray, np.ndarray, list[tuple[float, bool, bool]]]:
     """(precision, the same without shadows, recall; recall by views; outcomes) of all lines."""
     samples = _samples(scene, matches)
@@ -155,7 +159,7 @@ def _words(figures: np.ndarray) -> str:
     )
 
 
-def _place(folder: Path, rig: Rig) -> Place:
+def load_rendered_scene(folder: Path, rig: Rig) -> RenderedScene:
     pictures = {view: _picture(folder / f"scene_{view}.png") for view in VIEWS}
     truth = load_scene_truth(folder / "truth.json")
     seed = json.loads((folder / "truth.json").read_text()).get("seed")
@@ -166,7 +170,7 @@ def _place(folder: Path, rig: Rig) -> Place:
             view: shadow_gradient(folder / f"shadows_{view}.png", picture.shape)
             for view, picture in pictures.items()
         }
-    return Place(folder.name, rig, truth, pictures, triangles, shadows)
+    return RenderedScene(folder.name, rig, truth, pictures, triangles, shadows)
 
 
 def _picture(path: Path) -> np.ndarray:
@@ -176,7 +180,7 @@ def _picture(path: Path) -> np.ndarray:
     return picture
 
 
-def _samples(scene: Place, matches: Matches) -> Samples:
+def _samples(scene: RenderedScene, matches: Matches) -> Samples:
     """Points every half millimetre along the lines.
 
     A point is on a shadow's line where it lies on no edge but on a surface, and where in all

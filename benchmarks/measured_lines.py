@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from joined_lines import edges_of_lines
-from matching_rendered import Place, _place
+from matching_rendered import RenderedScene, load_rendered_scene
 from scipy.stats import chi2
 
 import trinoc
@@ -51,7 +51,7 @@ def crosses_often(matches: Matches) -> np.ndarray:
     return often
 
 
-def of_scenes(name: str, scenes: list[Place]) -> None:
+def of_scenes(name: str, scenes: list[RenderedScene]) -> None:
     """Print the figures of all these scenes."""
     rows, kinds, measure_counts, seconds = [], [], Counter(), np.zeros(2)
     for number, scene in enumerate(scenes):
@@ -95,10 +95,10 @@ def main() -> None:
     options = parser.parse_args()
     trinoc.io.enable_compile_cache()
     demo = Path(trinoc.synth.__file__).parent / "demo"
-    of_scenes("demo", [_place(demo, table1_rig())])
+    of_scenes("demo", [load_rendered_scene(demo, table1_rig())])
     for folder in options.folders:
         paths = [path for path in sorted(folder.iterdir()) if (path / "truth.json").exists()]
-        scenes = [_place(path, load_rig(path / "rig.json")) for path in paths]
+        scenes = [load_rendered_scene(path, load_rig(path / "rig.json")) for path in paths]
         of_scenes(folder.name, scenes)
 
 

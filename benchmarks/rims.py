@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from matching import _calibration_error as calibration_error
-from matching_rendered import Place, _place, score_place
+from matching_rendered import RenderedScene, load_rendered_scene, score_scene
 
 import trinoc
 from trinoc.io.rig_json import load_rig
@@ -25,7 +25,7 @@ from trinoc.match.tracks.matches import Matches
 WAYS = {"matched": (), "with rims": ("rims",)}
 
 
-def match_place(scene: Place, steps: tuple) -> Matches:
+def match_scene(scene: RenderedScene, steps: tuple) -> Matches:
     """The tracks of a scene after some steps, without what is likely an outline."""
     segments = {view: trinoc.find_segments(image) for view, image in scene.pictures.items()}
     matches, *_ = improve(
@@ -40,16 +40,16 @@ def match_place(scene: Place, steps: tuple) -> Matches:
     return matches.take(matches.marks.get("silhouette", np.zeros(len(matches))) <= 0.5)
 
 
-def row_of_scenes(scenes: list[Place], steps: tuple) -> str:
+def row_of_scenes(scenes: list[RenderedScene], steps: tuple) -> str:
     """The figures of all these scenes."""
     scores, views, outcomes, seconds = [], np.zeros(4), [], 0.0
     for scene in scenes:
         for _ in range(1 if scores else 2):  # the first run compiles
             began = time.process_time()
-            matches = match_place(scene, steps)
+            matches = match_scene(scene, steps)
             spent = time.process_time() - began
         seconds += spent
-        score, by_views, outcome = score_place(scene, matches)
+        score, by_views, outcome = score_scene(scene, matches)
         scores.append(score)
         views += by_views
         outcomes += outcome
@@ -70,7 +70,9 @@ def main() -> None:
     trinoc.io.enable_compile_cache()
     for folder in options.folders:
         scenes = [path.parent for path in sorted(folder.glob("*/truth.json"))]
-        rendered_scenes = [_place(scene, load_rig(scene / "rig.json")) for scene in scenes]
+        rendered_scenes = [
+            load_rendered_scene(scene, load_rig(scene / "rig.json")) for scene in scenes
+        ]
         for name, steps in WAYS.items():
             print(f"{folder.name:10s} {len(rendered_scenes)} scenes  {name:10s} ", end="")
             print(row_of_scenes(rendered_scenes, steps), flush=True)

@@ -124,7 +124,7 @@ def set_of_boards() -> tuple[trinoc.calib.BoardSet, dict[str, list[Detection]]]:
         ):
             both = _chained(cam, _chained(pose, board_in_set))
             lens = BrownConrady.from_parameters(np.array(LENSES[camera]))
-            detections[camera].append(_seen_places(lens, both, board, first, random))
+            detections[camera].append(_simulated_detection(lens, both, board, first, random))
             first += len(board)
     return target, detections
 
@@ -134,7 +134,7 @@ def _chained(second: np.ndarray, first: np.ndarray) -> np.ndarray:
     return np.column_stack([turn, second[:, :3] @ first[:, 3] + second[:, 3]])
 
 
-def _seen_places(lens, cam_from_board, board, first: int, random) -> Detection:
+def _simulated_detection(lens, cam_from_board, board, first: int, random) -> Detection:
     import jax
 
     with jax.enable_x64(True):

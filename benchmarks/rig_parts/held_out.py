@@ -41,7 +41,7 @@ def sets(data: Path) -> dict[str, tuple[AbstractTarget, dict[str, list[Path]]]]:
     }
 
 
-def places(result: CalibrationResult) -> dict[int, dict[int, Seen]]:
+def observed_corners(result: CalibrationResult) -> dict[int, dict[int, Seen]]:
     """For each camera and shot: points of the board (m, 3) and their pixels (m, 2)."""
     observations: dict[int, dict[int, Seen]] = {0: {}, 1: {}}
     for view in result.views:
@@ -157,7 +157,7 @@ def run(data: Path, *, pixels: bool) -> None:
         print(f"\n{name}: {len(result.shots)} shots; rms length of errors (px) in shots held out")
         print(f"{'board placed by':46}{'itself':>18}{'the other':>18}   fitted")
         print(f"{'in':46}" + "".join(f"{c:>9}" for c in (*files, *files)) + "      all")
-        observations = places(result)
+        observations = observed_corners(result)
         row(
             "cv2, lenses held in stereoCalibrate", *opencv_errors(observations, size_px, free=False)
         )

@@ -77,14 +77,14 @@ class Setup(NamedTuple):
 
     model: type[AbstractLens]
     lenses: dict[str, tuple[float, ...]]
-    places: dict[str, tuple[float, float]]
+    angle_and_x: dict[str, tuple[float, float]]
     boards: Callable[[int, np.random.Generator], list[np.ndarray]]
 
     def lens(self, name) -> AbstractLens:
         return self.model.from_parameters(np.array(self.lenses[name]))
 
     def cam_from_rig(self, name) -> np.ndarray:
-        angle, x = self.places[name]
+        angle, x = self.angle_and_x[name]
         turn = rotation([0, angle, 0])
         return np.column_stack([turn, -turn @ [x, 0, 0]])
 
@@ -218,7 +218,7 @@ def bound(setup, board, poses, is_seen) -> dict[str, float]:
             chain[11:, first : first + 3] = -skew(rig_pose[:, :3] @ pose[:, 3])
             chain[8:11, last : last + 3] = chain[11:, last + 3 : last + 6] = rig_pose[:, :3]
             total += chain.T @ information(board, lens, both) @ chain
-    free = np.r_[:24, 30 : len(total)]  # the first camera's pose is held
+    free = np.r_[:24, 30 : len(total)]  # the first camera's pose is fixed
     covariance = np.zeros_like(total)
     covariance[np.ix_(free, free)] = np.linalg.inv(total[np.ix_(free, free)])
     sigma = {}
@@ -295,9 +295,8 @@ def by_opencv_fisheye(setup, board, detections) -> dict[str, float]:
             first_px.append(a.centres_px[in_a][None])
             second_px.append(b.centres_px[in_b][None])
         (m1, d1), (m2, d2) = lenses["left"], lenses[name]
-        fewest = min(
-            array.shape[1] for array in board_points
-        )  # it takes as many places of every shot
+        # OpenCV requires equally many points of every shot.
+        fewest = min(array.shape[1] for array in board_points)
         cut = [
             [array[:, :fewest] for array in part] for part in (board_points, first_px, second_px)
         ]

@@ -42,7 +42,7 @@ class SheetView(eqx.Module):
     def centres_mm(self, margin_px: int) -> Float[np.ndarray, "h w 2"]:
         """Points of the layout at the pixels' centres; NaN above the horizon."""
         uv = pixel_grid_px(self.image_size_px, margin_px)
-        locate = partial(_places_seen, self.camera, _as_arrays(self.paper))
+        locate = partial(_sheet_points_seen, self.camera, _as_arrays(self.paper))
         return _in_chunks(locate, uv.reshape(-1, 2)).reshape(uv.shape)
 
     def cells_mm(
@@ -82,13 +82,13 @@ class SheetView(eqx.Module):
     def pixels_px(self, points_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """Pixels that show points of the layout; NaN for points behind the camera."""
         return _in_chunks(
-            partial(_pixels_of_places, self.camera, _as_arrays(self.paper)), points_mm
+            partial(_pixels_of_sheet_points, self.camera, _as_arrays(self.paper)), points_mm
         )
 
     def points_world_mm(self, points_mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
         """World coordinates of points of the layout."""
         flat = _in_chunks(
-            partial(_points_of_places, _as_arrays(self.paper)), points_mm.reshape(-1, 2)
+            partial(_world_of_sheet_points, _as_arrays(self.paper)), points_mm.reshape(-1, 2)
         )
         return flat.reshape(*points_mm.shape[:-1], 3)
 
@@ -108,7 +108,7 @@ def cell_offsets_px(supersampling: int) -> Float[np.ndarray, "s s 2"]:
 
 
 @kept_jit
-def _places_seen(
+def _sheet_points_seen(
     camera: Camera, paper: Paper, uv_px: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 2"]:
     def one(uv: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
@@ -135,7 +135,7 @@ def _places_seen(
 
 
 @kept_jit
-def _pixels_of_places(
+def _pixels_of_sheet_points(
     camera: Camera, paper: Paper, sheet_points_mm: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 2"]:
     def one(sheet_point: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
@@ -146,7 +146,7 @@ def _pixels_of_places(
 
 
 @kept_jit
-def _points_of_places(
+def _world_of_sheet_points(
     paper: Paper, sheet_points_mm: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 3"]:
     return jax.vmap(lambda sheet_point: _world(paper, sheet_point))(sheet_points_mm)
