@@ -259,7 +259,7 @@ class Row(NamedTuple):
     posterior: np.ndarray
     right: np.ndarray
     in_three: np.ndarray
-    held: np.ndarray
+    is_inside: np.ndarray
     ambiguous: int
     seconds: float
 
@@ -283,7 +283,7 @@ def report(name: str, rows: list[Row]) -> None:
     """Print a line for tracks in three views and one for pairs."""
     p, right, three, is_inside = (
         np.concatenate([getattr(row, field) for row in rows])
-        for field in ("posterior", "right", "in_three", "held")
+        for field in ("posterior", "right", "in_three", "is_inside")
     )
     for label, mask in (("three", three), ("two", ~three)):
         posteriors, true = p[mask], right[mask].astype(bool)
