@@ -39,10 +39,12 @@ EDGES = PAIRS[(BOX_MM[PAIRS[:, 0]] != BOX_MM[PAIRS[:, 1]]).sum(axis=1) == 1]
 
 
 def edges_mm(generator: np.random.Generator, boxes: int) -> np.ndarray:
-    """(n, 2, 3) edges of boxes of many sizes, at random places of the sheet."""
+    """(n, 2, 3) edges of boxes of many sizes, at random positions on the sheet."""
     sizes = generator.uniform(8, 30, (boxes, 1, 3))
-    places = np.concatenate([generator.uniform(-60, 60, (boxes, 1, 2)), np.zeros((boxes, 1, 1))], 2)
-    return (BOX_MM * sizes + places)[:, EDGES].reshape(-1, 2, 3)
+    offsets_mm = np.concatenate(
+        [generator.uniform(-60, 60, (boxes, 1, 2)), np.zeros((boxes, 1, 1))], 2
+    )
+    return (BOX_MM * sizes + offsets_mm)[:, EDGES].reshape(-1, 2, 3)
 
 
 def ends_px(camera: trinoc.Camera, edges: np.ndarray) -> np.ndarray:
@@ -81,7 +83,7 @@ def make_pictures(folder: Path, frames: int, boxes: int) -> None:
 
 
 def plain_loop(frames: Path, out: Path) -> int:
-    """What a user would write; returns the number of frames."""
+    """Match the frames by the loop that a user would write. Returns the number of frames."""
     out.mkdir()
     names = sorted({path.name.rsplit("_", 1)[0] for path in frames.iterdir()})
     for name in names:
@@ -98,22 +100,22 @@ def plain_loop(frames: Path, out: Path) -> int:
 
 
 def rates(folder: Path, count: int) -> None:
-    """Frames per second of each way."""
+    """Print the frames per second of each method."""
     print(f"{'frames':<20}{'way':<28}{'frames/s':>9}{'processor s/frame':>19}")
     for kind, make in (("segments", make_segments), ("pictures", make_pictures)):
         make(folder / kind, count, 6)
-        for way, job in ways(folder / kind, folder / "out"):
+        for method, job in ways(folder / kind, folder / "out"):
             shutil.rmtree(folder / "out", ignore_errors=True)
             start, used = time.perf_counter(), sum(os.times()[:4])
             job()
             wall = time.perf_counter() - start
             used = (sum(os.times()[:4]) - used) / count
-            if way:
-                print(f"{kind:<20}{way:<28}{count / wall:>9.2f}{used:>19.3f}", flush=True)
+            if method:
+                print(f"{kind:<20}{method:<28}{count / wall:>9.2f}{used:>19.3f}", flush=True)
 
 
 def ways(frames: Path, out: Path) -> Iterator[tuple[str, Callable[[], object]]]:
-    """The name of each way and its job; jobs without a name compile, and do not count."""
+    """Name and job of each method. A job without a name only compiles, and is not timed."""
     from distributed import LocalCluster
 
     def batch(**options: Any) -> Callable[[], object]:
@@ -136,7 +138,7 @@ def resident_mib() -> float:
 
 
 def memory(folder: Path, count: int) -> None:
-    """Memory, threads and handles of the process as the frames go by."""
+    """Print memory, threads and handles of the process while it matches frames."""
     make_segments(folder / "many", count, 1)
     print(f"\n{'frames done':>12}{'MiB':>8}{'threads':>9}{'handles':>9}")
     steps = set(np.linspace(0, count, 11).astype(int) // 16 * 16) | {count}
@@ -156,7 +158,7 @@ def contents(out: Path) -> dict[str, bytes]:
 
 
 def kills(folder: Path, count: int, frames: int) -> bool:
-    """Whether the output after so many kills is that of a run that nobody killed."""
+    """Kill a run `count` times. True if its output then equals that of an undisturbed run."""
     make_segments(folder / "killed", frames, 1)
     trinoc.save(RIG, folder / "rig.json")
     command = [sys.executable, "-m", "trinoc", "batch", str(folder / "killed")]
@@ -164,33 +166,33 @@ def kills(folder: Path, count: int, frames: int) -> bool:
     start = time.perf_counter()
     subprocess.run([*command, str(folder / "whole")], check=True, stdout=subprocess.DEVNULL)
     print(f"\na run that nobody kills: {time.perf_counter() - start:.0f} s", flush=True)
-    out, draw, done, again, swept = folder / "broken", random.Random(16), 0, 0, 0
+    out, draw, done, differing_runs, swept = folder / "broken", random.Random(16), 0, 0, 0
     before: set[str] = set()
     while done < count:
         process = subprocess.Popen([*command, str(out)], stdout=subprocess.DEVNULL)
         # The moment: while files come, counted from the first that comes.
         wanted = time.perf_counter() + 120
-        seen = len(before)
+        file_count = len(before)
         while process.poll() is None and time.perf_counter() < wanted:
-            if out.exists() and len(list(out.glob("matches-*"))) > seen:
+            if out.exists() and len(list(out.glob("matches-*"))) > file_count:
                 break
             time.sleep(0.002)
         time.sleep(draw.random() * 0.15)
         process.send_signal(signal.SIGKILL)
         if process.wait() != -signal.SIGKILL:  # it was done: begin anew
-            again += contents(out) != contents(folder / "whole")
+            differing_runs += contents(out) != contents(folder / "whole")
             shutil.rmtree(out)
             before = set()
             continue
         done += 1
-        found = {path.name for path in out.glob("matches-*")}
+        files = {path.name for path in out.glob("matches-*")}
         swept += len(list(out.glob(".*.tmp")))
-        if before - found:
-            print(f"LOST {before - found}")
+        if before - files:
+            print(f"LOST {before - files}")
             return False
-        before = found
+        before = files
     subprocess.run([*command, str(out)], check=True, stdout=subprocess.DEVNULL)
-    same = contents(out) == contents(folder / "whole") and not again
+    same = contents(out) == contents(folder / "whole") and not differing_runs
     verdict = "equal" if same else "DIFFERENT"
     print(f"{done} kills -9, {swept} scratch files seen after them: output {verdict}")
     return same

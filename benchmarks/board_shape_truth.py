@@ -1,4 +1,4 @@
-"""Focal length and principal point of made boards that are not as drawn: bias and reported sigmas.
+"""Bias and sigmas of focal length and principal point from simulated boards of wrong shape.
 
     python benchmarks/board_shape_truth.py [--trials 12] [--shots 16] [--cases mix,bends]
 
@@ -53,14 +53,14 @@ def draw_poses(random: np.random.Generator, count: int) -> list[tuple[np.ndarray
         turn = turn @ roll @ np.diag([1.0, -1.0, -1.0])
         aside = random.uniform(-0.5, 0.5, 2) * (1 - 0.75 * share) * size * depth_mm / FOCAL_PX
         pose = cv2.Rodrigues(turn)[0], np.array([*aside, depth_mm])
-        seen = cv2.projectPoints(PLACES_MM, *pose, MATRIX, None)[0][:, 0]
-        if np.all((seen > 0.02 * SIZE_PX[0]) & (seen < size - 0.02 * SIZE_PX[0])):
+        pixels = cv2.projectPoints(PLACES_MM, *pose, MATRIX, None)[0][:, 0]
+        if np.all((pixels > 0.02 * SIZE_PX[0]) & (pixels < size - 0.02 * SIZE_PX[0])):
             poses.append(pose)
     return poses
 
 
 def draw_smooth(random: np.random.Generator, rms: float, lowest: int, highest: int) -> np.ndarray:
-    """A random polynomial over the board, without plane, of this root mean square."""
+    """A random polynomial over the board with the given root mean square, its plane removed."""
     terms = [
         random.normal() / (d - lowest + 1) * U**k * V ** (d - k)
         for d in range(lowest, highest + 1)
@@ -96,51 +96,53 @@ def draw_shapes(case: str, random: np.random.Generator, shots: int) -> np.ndarra
 
 
 def draw_detections(case: str, random: np.random.Generator, shots: int) -> list[Detection]:
-    """What a detector with the stated noise reports."""
-    found = []
+    """Simulated detections of a board, with the noise that they report."""
+    detections = []
     shapes = draw_shapes(case, random, shots)
     for shape, pose in zip(shapes, draw_poses(random, shots), strict=True):
-        seen = cv2.projectPoints(shape, *pose, MATRIX, DISTORTION)[0][:, 0]
+        pixels = cv2.projectPoints(shape, *pose, MATRIX, DISTORTION)[0][:, 0]
         if case == "shutter":
-            late = 2 * seen[:, 1:] / SIZE_PX[1] - 1
-            seen = seen + random.normal(0, 0.4, 2) * late
-        found.append(
+            late = 2 * pixels[:, 1:] / SIZE_PX[1] - 1
+            pixels = pixels + random.normal(0, 0.4, 2) * late
+        detections.append(
             Detection(
                 circle_index=np.arange(len(U)),
-                centres_px=seen + random.normal(0, SIGMA_PX, seen.shape),
+                centres_px=pixels + random.normal(0, SIGMA_PX, pixels.shape),
                 covariance_px2=np.tile(SIGMA_PX**2 * np.eye(2), (len(U), 1, 1)),
                 shape_px2=np.full((len(U), 2, 2), np.nan),
                 lines_px=np.full((2, 3), np.nan),
                 image_size_px=SIZE_PX,
             )
         )
-    return found
+    return detections
 
 
 Estimate = tuple[np.ndarray, np.ndarray]
 
 
-def by_opencv(found: list[Detection]) -> Estimate:
+def by_opencv(detections: list[Detection]) -> Estimate:
     """fx, fy, cx, cy and their sigmas."""
-    places = [PLACES_MM.astype(np.float32)] * len(found)
-    pixels = [each.centres_px.astype(np.float32) for each in found]
+    board_points = [PLACES_MM.astype(np.float32)] * len(detections)
+    pixels = [detection.centres_px.astype(np.float32) for detection in detections]
     _, matrix, _, _, _, sigmas, *_ = cv2.calibrateCameraExtended(
-        places, pixels, SIZE_PX, None, None
+        board_points, pixels, SIZE_PX, None, None
     )
     return matrix[[0, 1, 0, 1], [0, 1, 2, 2]], sigmas.ravel()[:4]
 
 
 def by_trinoc(
-    found: list[Detection], systematics: Systematics | None, *, has_shape: bool
+    detections: list[Detection], systematics: Systematics | None, *, has_shape: bool
 ) -> Estimate:
-    """The same by calibrate_rig."""
-    names = [f"camera.{each}_px" for each in ("fx", "fy", "cx", "cy")]
+    """fx, fy, cx, cy and their sigmas by calibrate_rig."""
+    names = [f"camera.{parameter}_px" for parameter in ("fx", "fy", "cx", "cy")]
     with mock.patch.object(
         shots_fit,
         "with_board_shape",
         shots_fit.with_board_shape if has_shape else lambda fit: fit,
     ):
-        result = rig_calibration.calibrate_rig({"camera": found}, BOARD, systematics=systematics)
+        result = rig_calibration.calibrate_rig(
+            {"camera": detections}, BOARD, systematics=systematics
+        )
     return (
         np.array([result.value(name) for name in names]),
         np.array([result.sigma(name) for name in names]),
@@ -149,9 +151,9 @@ def by_trinoc(
 
 METHODS = {
     "OpenCV": by_opencv,
-    "exact": lambda found: by_trinoc(found, Systematics(), has_shape=False),
-    "warp": lambda found: by_trinoc(found, None, has_shape=False),
-    "default": lambda found: by_trinoc(found, None, has_shape=True),
+    "exact": lambda detections: by_trinoc(detections, Systematics(), has_shape=False),
+    "warp": lambda detections: by_trinoc(detections, None, has_shape=False),
+    "default": lambda detections: by_trinoc(detections, None, has_shape=True),
 }
 
 
@@ -166,17 +168,17 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=12)
     parser.add_argument("--shots", type=int, default=16)
     parser.add_argument("--cases", default=",".join(CASES))
-    given = parser.parse_args()
+    options = parser.parse_args()
     true = MATRIX[[0, 1, 0, 1], [0, 1, 2, 2]]
     print("case     method     f bias    rms   centre rms   error / sigma of f   of the centre")
-    for case in given.cases.split(","):
+    for case in options.cases.split(","):
         errors: dict[str, list[np.ndarray]] = {name: [] for name in METHODS}
         normalised: dict[str, list[np.ndarray]] = {name: [] for name in METHODS}
-        for trial in range(given.trials):
+        for trial in range(options.trials):
             random = np.random.default_rng([trial, CASES.index(case)])
-            found = draw_detections(case, random, given.shots)
+            detections = draw_detections(case, random, options.shots)
             for name, method in METHODS.items():
-                values, sigmas = method(found)
+                values, sigmas = method(detections)
                 errors[name].append((values - true) / FOCAL_PX * 1e4)
                 normalised[name].append((values - true) / sigmas)
         for name in METHODS:

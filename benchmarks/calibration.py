@@ -144,7 +144,7 @@ def _scipy_residual(pose, circles, step):
 
 
 def labelled(detection: Detection, true_px: np.ndarray) -> Detection:
-    """The labelling among those that a plain grid leaves open that is the truth's."""
+    """The true labelling among those that a plain grid leaves ambiguous."""
     choices = [detection.circle_index]
     if detection.ambiguity is not None:
         choices.extend(detection.ambiguity)
@@ -169,7 +169,7 @@ def difference(values: np.ndarray, truth: np.ndarray) -> np.ndarray:
 def by_picture(
     picture: np.ndarray, detection: Detection, pattern: Pattern, model: PoseModel
 ) -> CalibrationResult:
-    """The answer of the grey levels, all else being exact."""
+    """Calibration by the grey levels; all other inputs are exact."""
     priors, images = SheetPriors(model, Systematics()), {"a": picture.astype(np.float32)}
     return calibrate_sheet({"a": detection}, pattern, {"a": LENS}, priors, None, images=images)
 
@@ -272,23 +272,23 @@ def main() -> None:
     arguments.add_argument("--seeds", type=int, default=4)
     arguments.add_argument("--wide", action="store_true")
     arguments.add_argument("--supersampling", type=int, default=64)
-    given = arguments.parse_args()
+    options = arguments.parse_args()
     trials, missed, picture = [], 0, None
-    truths = poses(given.poses, given.wide)
+    truths = poses(options.poses, options.wide)
     with jax.enable_x64(True):
         for k, truth in enumerate(truths):
             camera = camera_of(truth)
             homogeneous = np.column_stack([SHEET_MM, np.ones(len(SHEET))]) @ camera.matrix_px.T
             true_px = homogeneous[:, :2] / homogeneous[:, 2:]
-            exact = render_sheet(SHEET, camera, supersampling=given.supersampling, bits=None)
-            for seed in range(given.seeds):
+            exact = render_sheet(SHEET, camera, supersampling=options.supersampling, bits=None)
+            for seed in range(options.seeds):
                 noise = np.random.default_rng(1000 * k + seed).normal(0.0, NOISE, exact.shape)
                 picture = np.rint(np.clip(exact + noise, 0, 255)).astype(np.uint8)
                 trial = one_trial(picture, truth, true_px)
                 missed += trial is None
                 if trial is not None:
                     trials.append(trial)
-        kind = "pan +-60, tilt 20-80" if given.wide else "about Table 1"
+        kind = "pan +-60, tilt 20-80" if options.wide else "about Table 1"
         print(f"{len(trials)} pictures, {kind}; {missed} without an answer")
         report_accuracy(trials)
         assert picture is not None

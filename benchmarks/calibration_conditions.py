@@ -1,4 +1,4 @@
-"""The refinement beside the bound of its own picture, under conditions that benches have.
+"""Errors of the refinement against the bound of its own picture, under conditions of benches.
 
     python benchmarks/calibration_conditions.py [--poses N] [--seeds K] [--wide] [--only NAME ...]
 
@@ -64,12 +64,12 @@ class Outcome(NamedTuple):
 
 
 def outcomes(condition: Condition, truths: np.ndarray, seeds: int) -> tuple[list[Outcome], int]:
-    found, missed = [], 0
+    results, missed = [], 0
     for k, truth in enumerate(truths):
         random = np.random.default_rng([7, k])
         aim = random.uniform(-8.0, 8.0, 2) if condition.parameters == 6 else np.zeros(2)
         scene = Scene(condition.pattern, LENS, np.concatenate([truth, aim]), condition.blur_px)
-        exact, seen = scene.picture(16), None
+        exact, is_visible = scene.picture(16), None
         if condition.covered:
             cover = cover_card(
                 random.uniform(-25, 25, 2),
@@ -77,17 +77,17 @@ def outcomes(condition: Condition, truths: np.ndarray, seeds: int) -> tuple[list
                 size_mm=(62.0, 54.0),
                 grey=150.0,
             )
-            whole, exact = exact, scene.picture(16, covers=(cover,))
-            seen = np.abs(whole - exact) < 1e-6
-        bound = bound_of_image(scene, TRUE_NOISE, condition.parameters, seen=seen)
+            uncovered_image, exact = exact, scene.picture(16, covers=(cover,))
+            is_visible = np.abs(uncovered_image - exact) < 1e-6
+        bound = bound_of_image(scene, TRUE_NOISE, condition.parameters, pixel_mask=is_visible)
         for seed in range(seeds):
             noise = np.random.default_rng([k, seed]).normal(0.0, NOISE, exact.shape)
             picture = np.rint(np.clip(exact + noise, 0, 255)).astype(np.uint8)
             outcome = one_outcome(condition, scene, picture, bound)
             missed += outcome is None
             if outcome is not None:
-                found.append(outcome)
-    return found, missed
+                results.append(outcome)
+    return results, missed
 
 
 def one_outcome(
@@ -109,15 +109,15 @@ def one_outcome(
     return Outcome(error, np.sqrt(np.diag(refined.covariance)), bound)
 
 
-def report(name: str, found: list[Outcome], missed: int) -> None:
-    error, sigma, bound = (np.array(field) for field in zip(*found, strict=True))
+def report(name: str, results: list[Outcome], missed: int) -> None:
+    error, sigma, bound = (np.array(field) for field in zip(*results, strict=True))
     by_bound = np.sqrt(np.mean((error / bound) ** 2, axis=0))
     by_sigma = np.sqrt(np.mean((error / sigma) ** 2, axis=0))
-    whole = np.sqrt(np.mean((error / bound) ** 2))
+    overall = np.sqrt(np.mean((error / bound) ** 2))
     inside = np.mean(np.abs(error / sigma) < 1.96)
     model = np.sqrt(np.mean((sigma / bound) ** 2))
     print(
-        f"{name:17s} {len(found):4d} ({missed}) {whole:6.3f}  "
+        f"{name:17s} {len(results):4d} ({missed}) {overall:6.3f}  "
         + " ".join(f"{value:5.3f}" for value in by_bound)
         + " | "
         + " ".join(f"{value:5.3f}" for value in by_sigma)
@@ -132,13 +132,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=30)
     parser.add_argument("--wide", action="store_true")
     parser.add_argument("--only", nargs="*", default=list(CONDITIONS), choices=list(CONDITIONS))
-    given = parser.parse_args()
+    options = parser.parse_args()
     print("condition         pictures (missed)   all  error / bound per parameter | error / sigma")
     print("per parameter | within 1.96 sigma, claimed sigma / bound")
     with jax.enable_x64(True):
-        for name in given.only:
-            truths = poses(given.poses, given.wide, seed=1)
-            report(name, *outcomes(CONDITIONS[name], truths, given.seeds))
+        for name in options.only:
+            truths = poses(options.poses, options.wide, seed=1)
+            report(name, *outcomes(CONDITIONS[name], truths, options.seeds))
 
 
 if __name__ == "__main__":

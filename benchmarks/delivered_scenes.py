@@ -1,4 +1,4 @@
-"""Scenes of coloured blocks as cameras deliver them: what colour, exposure and JPEG cost a matcher.
+"""Effect of colour, exposure and JPEG on matching: scenes of coloured blocks, as delivered.
 
     python benchmarks/delivered_scenes.py FOLDER [--only WORD]
 
@@ -15,7 +15,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from matching import _calibration_error as calibration_error
-from matching_rendered import Place, score_place
+from matching_rendered import RenderedScene, score_scene
 from shared_scenes import VIEWS
 
 import trinoc
@@ -31,7 +31,7 @@ EXPOSURE = 1.2
 
 
 class Delivery(NamedTuple):
-    """How the cameras deliver; `exposures` and `balances` (red, green, blue) are one per view."""
+    """Camera settings of a delivery; `exposures` and `balances` (red, green, blue) are per view."""
 
     name: str
     mosaic: Mosaic | None = None
@@ -74,7 +74,7 @@ DELIVERIES = (
 
 
 def picture(light: np.ndarray, delivery: Delivery, view: int, *, seed: int) -> np.ndarray:
-    """What a camera makes of (h, w, 3) light, of which 1 is a white face in full light."""
+    """Picture that a camera delivers of (h, w, 3) light; 1 is a white face in full light."""
     tinted = light * np.array(delivery.balances[view])
     sensor = Sensor(
         exposure=EXPOSURE * delivery.exposures[view],
@@ -83,17 +83,17 @@ def picture(light: np.ndarray, delivery: Delivery, view: int, *, seed: int) -> n
         mosaic=delivery.mosaic,
     )
     if delivery.mosaic is None:
-        seen = tinted.mean(axis=-1)
+        signal = tinted.mean(axis=-1)
     else:
         rows, columns = (np.arange(side) % 2 for side in light.shape[:2])
         # Rows R G R G ... and G B G B ...
         channel = np.add.outer(rows, columns)[..., None]
-        seen = np.take_along_axis(tinted, channel, axis=-1)[..., 0]
-    return delivered_picture(seen, sensor, delivery.processing, seed=seed)
+        signal = np.take_along_axis(tinted, channel, axis=-1)[..., 0]
+    return delivered_picture(signal, sensor, delivery.processing, seed=seed)
 
 
 def of_delivery(delivery: Delivery, folders: list[Path]) -> str:
-    """A row: the figures over all scenes."""
+    """Row of one delivery: the figures over all scenes."""
     scores, views, outcomes, triples = [], np.zeros(4), [], 0
     for number, folder in enumerate(folders):
         pictures = {
@@ -102,13 +102,13 @@ def of_delivery(delivery: Delivery, folders: list[Path]) -> str:
         }
         truth = load_scene_truth(folder / "truth.json")
         rig = load_rig(folder / "rig.json")
-        place = Place(folder.name, rig, truth, pictures, np.zeros((0, 3, 3)), None)
+        scene = RenderedScene(folder.name, rig, truth, pictures, np.zeros((0, 3, 3)), None)
         segments = {
             name: trinoc.find_segments(image, response=delivery.response)
             for name, image in pictures.items()
         }
         matches = trinoc.match_segments(segments, rig)
-        score, by_views, outcome = score_place(place, matches)
+        score, by_views, outcome = score_scene(scene, matches)
         scores.append(score)
         views += by_views
         outcomes += outcome
@@ -129,15 +129,15 @@ def _light(folder: Path, view: str) -> np.ndarray:
 
 
 def main() -> None:
-    """Print a row for each way of delivery."""
+    """Print a row for each delivery."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", default="", help="rows whose name holds this")
-    given = parser.parse_args()
+    options = parser.parse_args()
     trinoc.io.enable_compile_cache()
-    folders = [path for path in sorted(given.folder.iterdir()) if (path / "truth.json").exists()]
+    folders = [path for path in sorted(options.folder.iterdir()) if (path / "truth.json").exists()]
     for delivery in DELIVERIES:
-        if given.only in delivery.name:
+        if options.only in delivery.name:
             print(f"{delivery.name:45s} {of_delivery(delivery, folders)}", flush=True)
 
 

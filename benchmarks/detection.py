@@ -26,7 +26,7 @@ from trinoc.geometry.image_of_circle import image_of_circle_centre
 
 
 class Outcome(NamedTuple):
-    found: bool
+    is_detected: bool
     circles: int
     wrong: int
     error2_px2: float
@@ -40,7 +40,7 @@ def truth(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     with jax.enable_x64(True):
         circles = scene.camera, scene.pattern.centres_mm, scene.pattern.radius_mm
         centres = np.asarray(jax.vmap(image_of_circle_centre, (None, 0, 0))(*circles))
-        shapes = np.stack([shape_of_image(scene.camera, *each) for each in zip(*circles[1:])])
+        shapes = np.stack([shape_of_image(scene.camera, *circle) for circle in zip(*circles[1:])])
     return centres, shapes
 
 
@@ -74,7 +74,7 @@ def run(scene: Scene) -> Outcome:
     if detection.ambiguity is not None:
         labellings += list(detection.ambiguity)
     offs = [detection.centres_px - centres[index] for index in labellings]
-    off = min(offs, key=lambda each: float(np.sum(each**2)))
+    off = min(offs, key=lambda offset: float(np.sum(offset**2)))
     size = np.sqrt(np.linalg.eigvalsh(shapes[labellings[0]])[:, 0])
     wrong = int(np.sum(np.linalg.norm(off, axis=1) > np.maximum(1.5, 0.2 * size)))
     scaled = np.einsum("ni,nij,nj->n", off, np.linalg.inv(detection.covariance_px2), off)
@@ -109,14 +109,14 @@ def main() -> int:
             outcomes.append(run(scene))
             if arguments.messages and (outcomes[-1].message or outcomes[-1].wrong):
                 print(f"  {name} {number}: {outcomes[-1].wrong} wrong {outcomes[-1].message}")
-        found = [outcome for outcome in outcomes if outcome.found]
+        detected = [outcome for outcome in outcomes if outcome.is_detected]
         wrong = sum(outcome.wrong for outcome in outcomes)
         wrong_labels += wrong
-        circles = np.mean([outcome.circles for outcome in found]) if found else 0.0
-        rms = np.sqrt(np.median([o.error2_px2 for o in found])) if found else np.nan
-        ratio = np.sqrt(np.median([o.error_over_sigma2 for o in found])) if found else np.nan
+        circles = np.mean([outcome.circles for outcome in detected]) if detected else 0.0
+        rms = np.sqrt(np.median([o.error2_px2 for o in detected])) if detected else np.nan
+        ratio = np.sqrt(np.median([o.error_over_sigma2 for o in detected])) if detected else np.nan
         print(
-            f"{name:14}{len(outcomes):9}{len(found):9}{circles:9.1f}{wrong:7}{rms:9.4f}{ratio:9.2f}"
+            f"{name:14}{len(outcomes):9}{len(detected):9}{circles:9.1f}{wrong:7}{rms:9.4f}{ratio:9.2f}"
             f"{np.median([o.milliseconds for o in outcomes]):8.1f}"
             f"{np.median([o.opencv_milliseconds for o in outcomes]):8.1f}",
             flush=True,

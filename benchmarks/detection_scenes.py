@@ -36,7 +36,7 @@ def pose(
     area: tuple[float, float] | None = None,
     lens: Intrinsics | None = None,
 ) -> Camera:
-    """A camera about the sheet that keeps all of it in view.
+    """A camera at a random pose, with the complete sheet in view.
 
     filled : range of the sheet's larger share of the picture's width or height.
     area : range of the sheet's share of the picture's area instead.
@@ -52,13 +52,13 @@ def pose(
         camera = Camera.from_degrees(
             lens, pan_deg=pan, tilt_deg=tilt, swing_deg=swing, distance_mm=distance
         )
-        seen = project(camera, corners)
+        corners_px = project(camera, corners)
         size = np.array(lens.image_size_px)
         if area is None:
-            share = float(np.max(np.abs(seen - (size - 1) / 2) / (size / 2)))
+            share = float(np.max(np.abs(corners_px - (size - 1) / 2) / (size / 2)))
             factor = share / wanted
         else:
-            x, y = seen.T
+            x, y = corners_px.T
             polygon = 0.5 * abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
             factor = np.sqrt(polygon / size.prod() / wanted)
         distance = max(distance * factor**0.8, 1.3 * half)
@@ -126,7 +126,7 @@ def uneven_light(random: np.random.Generator) -> Scene:
 
 
 def sloping_light(random: np.random.Generator, low: float, high: float) -> Illumination:
-    """Light that rises by a share of `low` to `high` in 100 mm, in any direction."""
+    """Light that increases by a share of `low` to `high` in 100 mm, in a random direction."""
     angle, slope = random.uniform(0, 2 * np.pi), random.uniform(low, high)
     return Illumination((float(slope * np.cos(angle)), float(slope * np.sin(angle))))
 
@@ -154,15 +154,15 @@ def covered(random: np.random.Generator) -> Scene:
     wanted = random.uniform(0.15, 0.4) * len(pattern)
     covers: tuple[Paint, ...] = ()
     for _ in range(12):
-        place, turn = random.uniform(-85, 85, 2), float(random.uniform(0, 360))
+        position_mm, turn = random.uniform(-85, 85, 2), float(random.uniform(0, 360))
         grey = float(random.uniform(40, 200))
         kind = random.integers(3)
         more = (
-            (cover_card(place, turn_deg=turn, grey=grey),)
+            (cover_card(position_mm, turn_deg=turn, grey=grey),)
             if kind == 0
-            else (finger(place, turn, length_mm=90.0, grey=grey),)
+            else (finger(position_mm, turn, length_mm=90.0, grey=grey),)
             if kind == 1
-            else hand(place * 1.4, direction_deg=turn, grey=grey)
+            else hand(position_mm * 1.4, direction_deg=turn, grey=grey)
         )
         touched = touched_circles(pattern, covers + more)
         if touched <= 0.42 * len(pattern):
@@ -179,8 +179,8 @@ def hand(palm_mm: np.ndarray, *, direction_deg: float, grey: float) -> tuple[Pai
     across = np.array([-np.sin(angle), np.cos(angle)])
     arm = Capsule(np.stack([palm_mm - 250 * along, palm_mm]), 30.0)
     parts = [Paint(arm, grey - 8), Paint(FilledCircle(palm_mm, 42.0), grey)]
-    for place, length in ((-30.0, 62.0), (-10.0, 76.0), (10.0, 72.0), (30.0, 52.0)):
-        tip = palm_mm + place * across + (34.0 + length) * along
+    for offset_mm, length in ((-30.0, 62.0), (-10.0, 76.0), (10.0, 72.0), (30.0, 52.0)):
+        tip = palm_mm + offset_mm * across + (34.0 + length) * along
         parts.append(finger(tip, direction_deg + 180.0, length_mm=length, grey=grey))
     thumb = palm_mm + 72.0 * across + 38.0 * along
     parts.append(finger(thumb, direction_deg + 215.0, length_mm=58.0, grey=grey))
@@ -284,7 +284,7 @@ def bent(random: np.random.Generator) -> Scene:
 
 
 def everything(random: np.random.Generator) -> Scene:
-    """All troubles at once, each a little."""
+    """All disturbances at once, each of them small."""
     pattern = Pattern.default()
     camera = pose(random, pattern, obliquity_deg=(0, 60), filled=(0.6, 0.95))
     light = sloping_light(random, 0.0, 0.4)
@@ -318,7 +318,7 @@ def no_sheet(random: np.random.Generator) -> Scene:
 
 
 def other_sheet(random: np.random.Generator) -> Scene:
-    """A sheet with other rings than those of the pattern asked for."""
+    """A sheet whose rings differ from those of the requested pattern."""
     pattern = Pattern.default()
     rings = random.random((8, 8)) < 0.45
     other = Pattern.cross_grid(rows=8, columns=8, pitch_mm=20, radius_mm=6, rings=rings)
@@ -334,8 +334,8 @@ def two_sheets(random: np.random.Generator) -> Scene:
 
 
 CONDITIONS: dict[str, Callable[[np.random.Generator], Scene]] = {
-    each.__name__: each
-    for each in (
+    make_scene.__name__: make_scene
+    for make_scene in (
         bench,
         tilted,
         blurred,

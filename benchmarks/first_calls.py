@@ -1,4 +1,4 @@
-"""What the first call costs in a fresh process, and what compiling has to do with it.
+"""Time of the first call in a fresh process, and the share of compilation in it.
 
     python benchmarks/first_calls.py [--only CALL ...] [--runs 1] [--states full] [--against DIR]
 
@@ -55,24 +55,26 @@ def make_inputs(folder: Path) -> None:
     lens = [np.rint(image_of(LENS, pose)).astype(np.uint8) for pose in random_poses(5, 5)]
     np.savez(folder / "pictures.npz", delivered=delivered, lens=np.stack(lens))
     board, sigma_px = BOARDS["chessboard"]
-    found = observed(board, sigma_px, boards(SHOTS, np.random.default_rng(0)), _random())
+    detections = observed(board, sigma_px, boards(SHOTS, np.random.default_rng(0)), _random())
     shots = {}
     for name in CAMERAS:
-        for shot, own in enumerate(found[name]):
-            if own is not None:
-                shots[f"{name}.{shot}.index"] = own.circle_index
-                shots[f"{name}.{shot}.px"] = own.centres_px
+        for shot, detection in enumerate(detections[name]):
+            if detection is not None:
+                shots[f"{name}.{shot}.index"] = detection.circle_index
+                shots[f"{name}.{shot}.px"] = detection.centres_px
     np.savez(folder / "shots.npz", **shots)
     sheet = trinoc.calibrate(demo_images("sheet"), demo_pattern(), table1_lens(), method="points")
     trinoc.save(sheet.rig, folder / "rig.json")
     scene = {view: trinoc.find_segments(image) for view, image in demo_images("scene").items()}
-    for view, own in scene.items():
-        trinoc.save(own, folder / f"scene_{view}.npz")
+    for view, segments in scene.items():
+        trinoc.save(segments, folder / f"scene_{view}.npz")
     trinoc.save(trinoc.match_segments(scene, sheet.rig), folder / "matches.npz")
     many, _ = simulate_segments(
         loose_segments(900_005, count=500), table1_rig(), Detector(), seed=7
     )
-    np.savez(folder / "many.npz", **{view: own.endpoints_px for view, own in many.items()})
+    np.savez(
+        folder / "many.npz", **{view: segments.endpoints_px for view, segments in many.items()}
+    )
 
 
 def _random() -> np.random.Generator:
@@ -80,7 +82,7 @@ def _random() -> np.random.Generator:
 
 
 def calibrate(_: Path) -> Callable[[], Any]:
-    """Three pictures of the demo's sheet, with what is typically known."""
+    """Three pictures of the demo's sheet, with the typical systematics."""
     import trinoc
     from trinoc.io import demo_images, demo_pattern
     from trinoc.synth import table1_lens
@@ -105,21 +107,21 @@ def calibrate_rig(folder: Path) -> Callable[[], Any]:
     from trinoc.calib import Detection
 
     board = trinoc.Chessboard(rows=8, columns=8, square_mm=20.0)
-    places = np.load(folder / "shots.npz")
-    found: dict[str, dict[str, Detection]] = {name: {} for name in CAMERAS}
-    for key in places.files:
+    arrays = np.load(folder / "shots.npz")
+    detections: dict[str, dict[str, Detection]] = {name: {} for name in CAMERAS}
+    for key in arrays.files:
         name, shot, kind = key.split(".")
         if kind == "index":
-            seen = places[f"{name}.{shot}.px"]
-            found[name][shot] = Detection(
-                circle_index=places[key],
-                centres_px=seen,
-                covariance_px2=np.tile(0.01 * np.eye(2), (len(seen), 1, 1)),
-                shape_px2=np.full((len(seen), 2, 2), np.nan),
+            centres_px = arrays[f"{name}.{shot}.px"]
+            detections[name][shot] = Detection(
+                circle_index=arrays[key],
+                centres_px=centres_px,
+                covariance_px2=np.tile(0.01 * np.eye(2), (len(centres_px), 1, 1)),
+                shape_px2=np.full((len(centres_px), 2, 2), np.nan),
                 lines_px=np.full((2, 3), np.nan),
                 image_size_px=(640, 480),
             )
-    return lambda: trinoc.calibrate_rig(found, board)
+    return lambda: trinoc.calibrate_rig(detections, board)
 
 
 def calibrate_intrinsics(folder: Path) -> Callable[[], Any]:
@@ -196,13 +198,13 @@ CALLS = {
 
 
 class Compilations:
-    """What JAX reports while it traces, lowers and compiles."""
+    """Programs and times that JAX reports while it traces, lowers and compiles."""
 
     TRACING = ("jaxpr_trace_duration", "jaxpr_to_mlir_module_duration")
     COMPILING = ("backend_compile_duration",)
 
     def __init__(self) -> None:
-        """Listen from now on."""
+        """Start to listen to JAX."""
         import jax
 
         self._spans: list[tuple[str, int, float, float]] = []
@@ -220,23 +222,23 @@ class Compilations:
 
     @property
     def programs(self) -> int:
-        """Compiled, and not found in JAX's cache."""
+        """Number of programs that were compiled and not found in JAX's cache."""
         return sum(kind in self.COMPILING for kind, *_ in self._spans) - self._hits
 
     def seconds(self, kinds: tuple[str, ...]) -> float:
-        """Of all threads, where spans that nest count once."""
+        """Total time of all threads; nested spans count once."""
         total = 0.0
         for thread in {span[1] for span in self._spans}:
-            own = sorted(s[2:] for s in self._spans if s[0] in kinds and s[1] == thread)
+            spans = sorted(s[2:] for s in self._spans if s[0] in kinds and s[1] == thread)
             reached = -np.inf
-            for start, end in own:
+            for start, end in spans:
                 total += max(0.0, end - max(start, reached))
                 reached = max(reached, end)
         return float(total)
 
 
 def measure(name: str, folder: Path) -> dict[str, float]:
-    """The figures of one call, in this process."""
+    """Times and memory of one call, in this process."""
     if os.environ["TRINOC_COMPILE_CACHE"] != "off":
         import trinoc
 
@@ -263,7 +265,7 @@ def measure(name: str, folder: Path) -> dict[str, float]:
 
 
 def in_a_process(checkout: Path, cache: str, *arguments: str) -> str:
-    """What this file prints with a checkout, in a fresh process."""
+    """Output of this file with a checkout, in a fresh process."""
     environment = os.environ | {
         "PYTHONPATH": str(checkout),
         "TRINOC_COMPILE_CACHE": cache,
@@ -282,9 +284,9 @@ def in_a_process(checkout: Path, cache: str, *arguments: str) -> str:
 def rounds(options: argparse.Namespace, checkouts: list[Path], folder: Path) -> None:
     """Measure every call in turn with all checkouts, and print its rows."""
     columns = ("start", "first", "warm", "programs", "trace", "compile", "peak")
-    print(f"{'call':22s} {'cache':6s} {'':8s}" + "".join(f"{each:>9s}" for each in columns))
+    print(f"{'call':22s} {'cache':6s} {'':8s}" + "".join(f"{column:>9s}" for column in columns))
     for name in options.only or CALLS:
-        found: dict[tuple[str, int], list[dict[str, float]]] = {}
+        measurements: dict[tuple[str, int], list[dict[str, float]]] = {}
         for run in range(options.runs):
             for state in STATES:
                 # A full cache needs an empty one to have been filled.
@@ -292,14 +294,18 @@ def rounds(options: argparse.Namespace, checkouts: list[Path], folder: Path) -> 
                     continue
                 for number, checkout in enumerate(checkouts):
                     cache = folder / f"cache_{name}_{run}_{number}"
-                    place = "off" if state == "off" else str(cache)
-                    said = in_a_process(checkout, place, "--measure", name, "--inputs", str(folder))
-                    own = json.loads(said.splitlines()[-1])
-                    found.setdefault((state, number), []).append(own)
+                    cache_setting = "off" if state == "off" else str(cache)
+                    output = in_a_process(
+                        checkout, cache_setting, "--measure", name, "--inputs", str(folder)
+                    )
+                    measurement = json.loads(output.splitlines()[-1])
+                    measurements.setdefault((state, number), []).append(measurement)
         for state in options.states:
             medians = [
                 {
-                    column: statistics.median(own[column] for own in found[state, number])
+                    column: statistics.median(
+                        measurement[column] for measurement in measurements[state, number]
+                    )
                     for column in columns
                 }
                 for number in range(len(checkouts))

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def fuzz(kind: str, folder: Path, seconds: int) -> None:
-    """Never returns: the fuzzer ends the process."""
+    """Fuzz one reader. Never returns: the fuzzer ends the process."""
     import atheris
 
     sys.path.insert(0, str(ROOT))
@@ -34,7 +34,7 @@ def fuzz(kind: str, folder: Path, seconds: int) -> None:
     corpus = folder / "corpus"
     corpus.mkdir()
     (corpus / "valid").write_bytes(file.path.read_bytes())
-    seen: set[str] = set()
+    failure_names: set[str] = set()
 
     def try_one(content: bytes) -> None:
         file.path.write_bytes(content)
@@ -45,13 +45,13 @@ def fuzz(kind: str, folder: Path, seconds: int) -> None:
                 note(f"two lines: {error!r}")
         except Exception as error:
             frames = traceback.extract_tb(error.__traceback__)
-            place = [f for f in frames if f"{os.sep}trinoc{os.sep}" in f.filename][-1]
-            note(f"{type(error).__name__} in {Path(place.filename).name}:{place.lineno}: {error}")
+            frame = [f for f in frames if f"{os.sep}trinoc{os.sep}" in f.filename][-1]
+            note(f"{type(error).__name__} in {Path(frame.filename).name}:{frame.lineno}: {error}")
 
     def note(failure: str) -> None:
         name = re.sub(r":\s.*", "", failure.splitlines()[0])
-        if name not in seen:
-            seen.add(name)
+        if name not in failure_names:
+            failure_names.add(name)
             print(f"FAILURE {failure[:200]!r}", flush=True)
 
     options = [f"-max_total_time={seconds}", "-max_len=60000", "-rss_limit_mb=4000", "-timeout=20"]
@@ -93,15 +93,15 @@ def main() -> int:
                 check=False,
             )
         tried = re.search(r"number_of_executed_units:\s*(\d+)", done.stdout + done.stderr)
-        found = [line for line in done.stdout.splitlines() if line.startswith("FAILURE")]
+        failure_lines = [line for line in done.stdout.splitlines() if line.startswith("FAILURE")]
         if not tried or done.returncode != 0:
-            found.append(
+            failure_lines.append(
                 f"FAILURE the process ended with {done.returncode}: {done.stderr[-300:]!r}"
             )
         inputs += int(tried[1]) if tried else 0
-        failures += len(found)
-        print(f"{kind:<28}{tried[1] if tried else '?':>10}{len(found):>10}", flush=True)
-        for line in found:
+        failures += len(failure_lines)
+        print(f"{kind:<28}{tried[1] if tried else '?':>10}{len(failure_lines):>10}", flush=True)
+        for line in failure_lines:
             print(f"    {line}", flush=True)
     spent = options.seconds * len(kinds)
     print(f"{inputs} inputs in {spent} s, {len(kinds)} readers: {failures} failures")

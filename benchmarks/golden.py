@@ -39,21 +39,21 @@ COVARIANCE_OF = {
 
 
 class Difference(NamedTuple):
-    """How far an output has moved.
+    """Difference of an output from its frozen value.
 
     Fields
     ------
     relative : largest change over the largest entry; infinity for another shape, word or NaN.
     sigmas : largest change over its claimed sigma; NaN where none was frozen.
-    words : what differs, where it is no number.
+    description : the difference of texts and shapes.
     """
 
     relative: float
     sigmas: float = float("nan")
-    words: str = ""
+    description: str = ""
 
     def within(self, tolerance: float, sigmas: float | None) -> bool:
-        """Whether it may be: by its sigmas where these are known and asked for."""
+        """True if the difference is tolerable: by its sigmas if both sigmas are given."""
         if sigmas is not None and np.isfinite(self.sigmas):
             return self.sigmas <= sigmas
         return self.relative <= tolerance
@@ -72,22 +72,22 @@ def outputs(only: list[str]) -> dict[str, np.ndarray]:
 def difference(
     now: np.ndarray, before: np.ndarray, covariance: np.ndarray | None = None
 ) -> Difference:
-    """An output beside what was frozen, and `covariance`, that of the frozen one."""
+    """Difference of an output from the frozen one; `covariance` is that of the frozen one."""
     if now.shape != before.shape:
-        return Difference(float("inf"), words=_first_apart(now, before))
+        return Difference(float("inf"), description=_first_apart(now, before))
     if now.dtype.kind not in "fiub" or before.dtype.kind not in "fiub":
         if np.array_equal(now, before):
             return Difference(0.0)
-        return Difference(float("inf"), words=_first_apart(now, before))
+        return Difference(float("inf"), description=_first_apart(now, before))
     now, before = now.astype(np.float64), before.astype(np.float64)
-    known = np.isfinite(before)
-    if not np.array_equal(now[~known], before[~known], equal_nan=True):
-        return Difference(float("inf"), words="other entries are NaN or infinite")
-    if not known.any() or np.array_equal(now[known], before[known]):
+    is_finite = np.isfinite(before)
+    if not np.array_equal(now[~is_finite], before[~is_finite], equal_nan=True):
+        return Difference(float("inf"), description="other entries are NaN or infinite")
+    if not is_finite.any() or np.array_equal(now[is_finite], before[is_finite]):
         return Difference(0.0, 0.0)
     change = np.abs(now - before)
-    largest = np.abs(before[known]).max()
-    relative = float(change[known].max() / largest) if largest > 0 else float("inf")
+    largest = np.abs(before[is_finite]).max()
+    relative = float(change[is_finite].max() / largest) if largest > 0 else float("inf")
     return Difference(relative, _in_sigmas(change, covariance))
 
 
@@ -98,15 +98,17 @@ def _in_sigmas(change: np.ndarray, covariance: np.ndarray | None) -> float:
     if variance.size != change.size:
         return float("nan")
     change = change.reshape(variance.shape)
-    known = np.isfinite(change) & np.isfinite(variance) & (variance > 0)
-    return float((change[known] / np.sqrt(variance[known])).max()) if known.any() else float("nan")
+    usable = np.isfinite(change) & np.isfinite(variance) & (variance > 0)
+    return (
+        float((change[usable] / np.sqrt(variance[usable])).max()) if usable.any() else float("nan")
+    )
 
 
 def _first_apart(now: np.ndarray, before: np.ndarray) -> str:
-    """The first lines that differ, of texts; else the shapes."""
+    """First lines that differ if both are texts, else both shapes."""
     if now.dtype.kind not in "US" or before.dtype.kind not in "US":
         return f"shape {before.shape} -> {now.shape}"
-    old, new = ("\n".join(each.ravel().tolist()).split("\n") for each in (before, now))
+    old, new = ("\n".join(array.ravel().tolist()).split("\n") for array in (before, now))
     old += [""] * (len(new) - len(old))
     new += [""] * (len(old) - len(new))
     first = next((pair for pair in zip(old, new, strict=True) if pair[0] != pair[1]), ("", ""))
@@ -114,31 +116,33 @@ def _first_apart(now: np.ndarray, before: np.ndarray) -> str:
 
 
 def compared(now: dict[str, np.ndarray], frozen: dict[str, np.ndarray]) -> dict[str, Difference]:
-    """Every output that both hold."""
-    found = {}
+    """Differences of every output that both have."""
+    differences = {}
     for name in sorted(now.keys() & frozen.keys()):
         prefix, _, last = name.rpartition(".")
         covariance = frozen.get(f"{prefix}.{COVARIANCE_OF.get(last, '')}")
-        found[name] = difference(now[name], frozen[name], covariance)
-    return found
+        differences[name] = difference(now[name], frozen[name], covariance)
+    return differences
 
 
-def report(apart: dict[str, Difference], tolerance: float, sigmas: float | None) -> int:
-    """Print what has moved too far, then the largest differences of each part; how many those
-    are."""
-    worse = {name: own for name, own in apart.items() if not own.within(tolerance, sigmas)}
+def report(differences: dict[str, Difference], tolerance: float, sigmas: float | None) -> int:
+    """Print outputs beyond the tolerance, then the largest differences of each part. Returns the
+    number of outputs beyond the tolerance."""
+    worse = {
+        name: entry for name, entry in differences.items() if not entry.within(tolerance, sigmas)
+    }
     print(f"{'beyond the tolerance':60s} relative  sigmas")
-    for name, own in worse.items():
-        print(f"{name:60s} {own.relative:8.2g} {own.sigmas:7.2g} {own.words}")
+    for name, entry in worse.items():
+        print(f"{name:60s} {entry.relative:8.2g} {entry.sigmas:7.2g} {entry.description}")
     print(f"\n{'part':20s} outputs  equal  beyond  relative  sigmas")
-    for part in dict.fromkeys(name.split(".")[0] for name in apart):
-        own = {name: each for name, each in apart.items() if name.split(".")[0] == part}
-        beyond = sum(name in worse for name in own)
-        equal = sum(each.relative == 0 for each in own.values())
-        finite = [each.relative for each in own.values() if np.isfinite(each.relative)]
-        by_sigma = [each.sigmas for each in own.values() if np.isfinite(each.sigmas)]
+    for part in dict.fromkeys(name.split(".")[0] for name in differences):
+        outputs = {name: entry for name, entry in differences.items() if name.split(".")[0] == part}
+        beyond = sum(name in worse for name in outputs)
+        equal = sum(entry.relative == 0 for entry in outputs.values())
+        finite = [entry.relative for entry in outputs.values() if np.isfinite(entry.relative)]
+        by_sigma = [entry.sigmas for entry in outputs.values() if np.isfinite(entry.sigmas)]
         print(
-            f"{part:20s} {len(own):7d} {equal:6d} {beyond:7d}  {max(finite, default=0.0):8.2g} "
+            f"{part:20s} {len(outputs):7d} {equal:6d} {beyond:7d}  {max(finite, default=0.0):8.2g} "
             f"{max(by_sigma, default=0.0):7.2g}"
         )
     return len(worse)

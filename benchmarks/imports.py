@@ -21,32 +21,34 @@ _LINE = re.compile(r"import time:\s+(\d+) \|\s+(\d+) \|( *)(\S+)")
 _COMMAND = "import sys; sys.argv[0] = 'trinoc'; from trinoc.cli.program import run; run()"
 
 
-def list_imports(statement: str, words: list[str]) -> list[tuple[int, str, float, float]]:
-    """(depth, module, ms with what it imports, ms by itself), each before what it imported."""
-    command = [sys.executable, "-X", "importtime", "-c", statement, *words]
+def list_imports(statement: str, arguments: list[str]) -> list[tuple[int, str, float, float]]:
+    """(depth, module, cumulative ms, own ms) of each import, each before its own imports."""
+    command = [sys.executable, "-X", "importtime", "-c", statement, *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     rows = [match.groups() for match in map(_LINE.match, done.stderr.splitlines()) if match]
     return [
-        (len(indent) // 2, module, int(whole) / 1e3, int(own) / 1e3)
-        for own, whole, indent, module in reversed(rows)
+        (len(indent) // 2, module, int(cumulative) / 1e3, int(self_time) / 1e3)
+        for self_time, cumulative, indent, module in reversed(rows)
     ]
 
 
-def least_times(statement: str, words: list[str], runs: int) -> list[tuple[int, str, float, float]]:
+def least_times(
+    statement: str, arguments: list[str], runs: int
+) -> list[tuple[int, str, float, float]]:
     """`list_imports` of the last run, with the least times of all runs."""
-    whole: dict[str, float] = {}
-    own: dict[str, float] = {}
+    cumulative: dict[str, float] = {}
+    self_time: dict[str, float] = {}
     rows: list[tuple[int, str, float, float]] = []
     for _ in range(runs):
-        rows = list_imports(statement, words)
-        for _, module, whole_ms, own_ms in rows:
-            whole[module] = min(whole_ms, whole.get(module, whole_ms))
-            own[module] = min(own_ms, own.get(module, own_ms))
-    return [(depth, module, whole[module], own[module]) for depth, module, _, _ in rows]
+        rows = list_imports(statement, arguments)
+        for _, module, cumulative_ms, self_ms in rows:
+            cumulative[module] = min(cumulative_ms, cumulative.get(module, cumulative_ms))
+            self_time[module] = min(self_ms, self_time.get(module, self_ms))
+    return [(depth, module, cumulative[module], self_time[module]) for depth, module, _, _ in rows]
 
 
 def package_of(module: str) -> str:
-    """The package of a module, of trinoc its room."""
+    """Package of a module; for trinoc, the subpackage."""
     parts = module.split(".")
     return ".".join(parts[: 2 if parts[0] == "trinoc" else 1])
 

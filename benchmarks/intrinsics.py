@@ -1,4 +1,4 @@
-"""Intrinsics from ten pictures: error over the Cramer-Rao bound, and whether sigmas are true.
+"""Intrinsics from ten pictures: error over the Cramer-Rao bound, and over the sigmas.
 
     python benchmarks/intrinsics.py [--sets 4] [--trials 10] [--pictures 10] [--pixels]
 
@@ -40,7 +40,7 @@ LENS = np.array([987.65, 1194.03, 250.0, 243.0, -0.2, 0.15, 0.001, -0.0005, -0.0
 
 
 def random_poses(seed: int, count: int) -> np.ndarray:
-    """Poses (k, 3, 4) as people hold a sheet: tilted by 10 to 50 degrees, any side near."""
+    """Poses (k, 3, 4) of a sheet held by hand, tilted by 10 to 50 degrees to any side."""
     generator = np.random.default_rng(seed)
     poses = []
     for _ in range(count):
@@ -124,10 +124,10 @@ def opencv_lens(detections: list[Detection], centres: list[np.ndarray]) -> np.nd
     """The lens's parameters by cv2.calibrateCamera; rows of `centres` that are NaN are left out."""
     sheet, picture = [], []
     for detection, uv in zip(detections, centres, strict=True):
-        seen = np.isfinite(uv).all(axis=1)
-        points = np.pad(SHEET.centres_mm[detection.circle_index[seen]], ((0, 0), (0, 1)))
+        is_valid = np.isfinite(uv).all(axis=1)
+        points = np.pad(SHEET.centres_mm[detection.circle_index[is_valid]], ((0, 0), (0, 1)))
         sheet.append(points.astype(np.float32))
-        picture.append(uv[seen].astype(np.float32))
+        picture.append(uv[is_valid].astype(np.float32))
     _, matrix, distortion, *_ = cv2.calibrateCamera(sheet, picture, SIZE_PX, None, None)
     focal_and_centre = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
     return np.concatenate([focal_and_centre, distortion.reshape(-1)[:5]])
@@ -148,8 +148,8 @@ def blob_centres(image: np.ndarray, detection: Detection) -> np.ndarray:
     large = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
     blobs = (np.array([blob.pt for blob in detector.detect(large)]) - (factor - 1) / 2) / factor
     distance = np.linalg.norm(detection.centres_px[:, None] - blobs[None], axis=2)
-    found = blobs[distance.argmin(axis=1)]
-    return np.where(distance.min(axis=1)[:, None] < 2.0, found, np.nan)
+    nearest = blobs[distance.argmin(axis=1)]
+    return np.where(distance.min(axis=1)[:, None] < 2.0, nearest, np.nan)
 
 
 def timed(function: Callable[[], Any], times: list[float]) -> Any:
@@ -170,7 +170,7 @@ def main() -> None:
     ours = ["trinoc", "trinoc, distortion=4", *(["trinoc, pixels"] if options.pixels else [])]
     names = [*ours, "cv2, trinoc's centres", "cv2, blobs"]
     errors: dict[str, list[np.ndarray]] = {name: [] for name in names}
-    claimed: dict[str, list[np.ndarray]] = {name: [] for name in ours}
+    normalised: dict[str, list[np.ndarray]] = {name: [] for name in ours}
     times: dict[str, list[float]] = {name: [] for name in names}
     for number in range(options.first_set, options.first_set + options.sets):
         poses = random_poses(number, options.pictures)
@@ -183,7 +183,7 @@ def main() -> None:
                 for c in clean
             ]
             detections = [detect_pattern(image, SHEET) for image in images]
-            centres = [each.centres_px for each in detections]
+            centres = [detection.centres_px for detection in detections]
             blobs = [blob_centres(i, d) for i, d in zip(images, detections, strict=True)]
             chains: list[Callable[[], Any]] = [
                 lambda d=detections: calibrate_intrinsics(d, SHEET),
@@ -201,7 +201,7 @@ def main() -> None:
             for name, result in zip(ours, results, strict=True):
                 sigma = np.sqrt(np.diag(result.covariance))
                 sigma = np.where(sigma > 0, sigma, np.nan)
-                claimed[name].append((result.values - LENS) / sigma)
+                normalised[name].append((result.values - LENS) / sigma)
         print(
             f"set {number}: bound",
             dict(zip(NAMES, crb.round(6), strict=True)),
@@ -216,10 +216,10 @@ def main() -> None:
         print(f"{name:26}{cells}{total:8.2f}{1e3 * np.median(times[name]):5.0f}")
     print("rms error / claimed sigma (a coefficient left out has none)")
     for name in ours:
-        scores = np.array(claimed[name])
-        known = np.isfinite(scores)
-        total = np.sqrt(np.nansum(scores**2, axis=0) / np.maximum(known.sum(axis=0), 1))
-        cells = "".join(f"{v:8.2f}" if n else f"{'-':>8}" for v, n in zip(total, known.sum(0)))
+        scores = np.array(normalised[name])
+        has_sigma = np.isfinite(scores)
+        total = np.sqrt(np.nansum(scores**2, axis=0) / np.maximum(has_sigma.sum(axis=0), 1))
+        cells = "".join(f"{v:8.2f}" if n else f"{'-':>8}" for v, n in zip(total, has_sigma.sum(0)))
         print(f"{name:26}{cells}{np.sqrt(np.nanmean(scores**2)):8.2f}")
 
 

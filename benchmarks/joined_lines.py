@@ -1,4 +1,4 @@
-"""Collinear tracks joined, ends snapped to corners, and what moves, against the true edges.
+"""Joined lines, corners and marks of viewpoint-dependent tracks, against the true edges.
 
     python benchmarks/joined_lines.py [--seeds N] [--rendered FOLDER]
 
@@ -47,7 +47,7 @@ class Tally:
     """Counts and errors over several scenes."""
 
     def __init__(self) -> None:
-        """Nothing yet."""
+        """Start with empty counts."""
         self.count: Counter[str] = Counter()
         self.values: dict[str, list[float]] = {}
 
@@ -78,7 +78,7 @@ class Tally:
 
 
 def edges_of_tracks(matches: Matches, truth: SegmentTruth) -> np.ndarray:
-    """(t,) the edge of all of a track's segments, NOBODY's or NOT_SCORED."""
+    """(t,) number of the edge that all segments of a track share; else NOBODY or NOT_SCORED."""
     edge = np.full(len(matches), NOBODY)
     for track, row in enumerate(matches.index):
         owners = {
@@ -105,7 +105,7 @@ def judge_marks(tally: Tally, matches: Matches, edge: np.ndarray) -> None:
 
 
 def outlines(radius_mm: float, sigma_px: float, seeds: int) -> str:
-    """What becomes of the outlines of standing cylinders, 30 mm high, among loose segments."""
+    """Count the joined outlines of standing cylinders, 30 mm high, among loose segments."""
     rig = table1_rig()
     total = triples = marked = 0
     for seed in range(FIRST_OF_OUTLINES, FIRST_OF_OUTLINES + seeds):
@@ -124,35 +124,35 @@ def outlines(radius_mm: float, sigma_px: float, seeds: int) -> str:
             segments[name] = ends + sigma_px * generator.normal(size=ends.shape)
         matches = match_segments(segments, rig, sigma_px=sigma_px)
         assert matches.viewpoint_dependent is not None
-        own = (matches.index == matches.index[:, :1]).all(axis=1)
-        own &= matches.index[:, 0] < 2 * len(feet)
-        total, triples = total + 2 * len(feet), triples + int(own.sum())
-        marked += int(matches.viewpoint_dependent[own].sum())
+        same_outline = (matches.index == matches.index[:, :1]).all(axis=1)
+        same_outline &= matches.index[:, 0] < 2 * len(feet)
+        total, triples = total + 2 * len(feet), triples + int(same_outline.sum())
+        marked += int(matches.viewpoint_dependent[same_outline].sum())
     return f"{total} outlines, {triples} joined in three views, {marked} of them marked"
 
 
 def edges_of_lines(lines_mm: np.ndarray, edges_mm: np.ndarray) -> np.ndarray:
-    """(n,) the edge that most of each line is near, or NOBODY's."""
-    found = np.full(len(lines_mm), NOBODY)
+    """(n,) number of the edge near which most of each line lies, or NOBODY."""
+    edge_numbers = np.full(len(lines_mm), NOBODY)
     share = np.linspace(0, 1, 41)[:, None]
     for number, line in enumerate(lines_mm):
         points = line[0] + share * (line[1] - line[0])
         far = [np.quantile(distance_to_segments_mm(points, e[None]), MOST) for e in edges_mm]
         if min(far) < NEAR_MM:
-            found[number] = int(np.argmin(far))
-    return found
+            edge_numbers[number] = int(np.argmin(far))
+    return edge_numbers
 
 
 def off_line(points_mm: np.ndarray, edge: np.ndarray) -> np.ndarray:
-    way = edge[1] - edge[0]
-    axes = complete_axes(way / np.linalg.norm(way))
+    direction = edge[1] - edge[0]
+    axes = complete_axes(direction / np.linalg.norm(direction))
     return np.linalg.norm((points_mm - edge[0]) @ axes.T, axis=-1)
 
 
 def judge_lines(
     tally: Tally, matches: Matches, joined: JoinedLines, edge: np.ndarray, edges_mm: np.ndarray
 ) -> None:
-    """Count pairs of tracks joined, and how far lines are from their edges."""
+    """Count joined pairs of tracks, and add the distances of lines from their edges."""
     of_edge = Counter(edge[edge >= 0].tolist())
     tally.count["true"] += sum(n * (n - 1) // 2 for n in of_edge.values())
     for line in np.flatnonzero(joined.pieces > 1):
@@ -165,19 +165,19 @@ def judge_lines(
                 tally.count["right"] += 1
                 tally.count["found"] += 1
             elif min(one, other) >= 0:
-                apart = max(
+                separation_mm = max(
                     off_line(edges_mm[other], edges_mm[one]).max(),
                     off_line(edges_mm[one], edges_mm[other]).max(),
                 )
-                tally.count["right"] += int(apart < SAME_LINE_MM)
+                tally.count["right"] += int(separation_mm < SAME_LINE_MM)
         number = edge[tracks[0]]
         if number < 0 or (edge[tracks] != number).any():
             continue
         true = edges_mm[number]
         tally.add("pieces", *(_rms(off_line(matches.lines_mm[t], true)) for t in tracks))
         tally.add("lines", _rms(off_line(joined.lines_mm[line], true)))
-        way = true[1] - true[0]
-        axes = complete_axes(way / np.linalg.norm(way))
+        direction = true[1] - true[0]
+        axes = complete_axes(direction / np.linalg.norm(direction))
         error = ((joined.lines_mm[line] - true[0]) @ axes.T).reshape(4)
         project = np.kron(np.eye(2), axes)
         spread = project @ joined.covariance_mm2[line] @ project.T
@@ -191,19 +191,21 @@ def judge_corners(
     edge: np.ndarray,
     edges_mm: np.ndarray,
 ) -> None:
-    """Count corners, and how far they are from the true ones; `edge` is that of each line."""
+    """Count corners, and add their errors. `edge` is the edge number of each line."""
     ends = edges_mm.reshape(-1, 3)
     met = KDTree(ends).query_ball_point(ends, 1e-3)
-    corner_of_end = np.array([min(near) if len(near) > 1 else -1 for near in met]).reshape(-1, 2)
+    corner_of_end = np.array(
+        [min(neighbours) if len(neighbours) > 1 else -1 for neighbours in met]
+    ).reshape(-1, 2)
     for number in range(len(corners)):
-        of = corners.corner == number
-        owners = edge[corners.line[of]]
+        members = corners.corner == number
+        owners = edge[corners.line[members]]
         tally.count["corners"] += 1
         if (owners == NOT_SCORED).any():
             tally.count["corners not scored"] += 1
             continue
-        places = [set(corner_of_end[e].tolist()) - {-1} if e >= 0 else set() for e in owners]
-        common = set.intersection(*places)
+        corner_sets = [set(corner_of_end[e].tolist()) - {-1} if e >= 0 else set() for e in owners]
+        common = set.intersection(*corner_sets)
         if not common:
             continue
         tally.count["corners right"] += 1
@@ -211,10 +213,10 @@ def judge_corners(
         error = corners.points_mm[number] - true
         tally.add("points", float(np.linalg.norm(error)))
         tally.add("point", error @ np.linalg.solve(corners.covariance_mm2[number], error))
-        before = joined.lines_mm[corners.line[of], corners.end[of]] - true
+        before = joined.lines_mm[corners.line[members], corners.end[members]] - true
         tally.add("ends", *np.linalg.norm(before, axis=1))
-    held = np.flatnonzero(np.bincount(corners.line, minlength=len(joined)) == 2)
-    for line in held[edge[held] >= 0]:
+    bounded_lines = np.flatnonzero(np.bincount(corners.line, minlength=len(joined)) == 2)
+    for line in bounded_lines[edge[bounded_lines] >= 0]:
         true = np.linalg.norm(np.diff(edges_mm[edge[line]], axis=0))
         for name, lines in (("before", joined.lines_mm), ("after", corners.lines_mm)):
             length = np.linalg.norm(np.diff(lines[line], axis=0))
@@ -242,20 +244,23 @@ def fresh(kind: str, seeds: int) -> str:
         judge_marks(tally, matches, edge)
         judge_lines(tally, matches, joined, edge, truth.edges_mm)
         of_line = [Counter(edge[joined.tracks_of(k)].tolist()) for k in range(len(joined))]
-        most = np.array([count.most_common(1)[0][0] for count in of_line])
-        judge_corners(tally, joined, corners, most, truth.edges_mm)
+        edge_of_line = np.array([count.most_common(1)[0][0] for count in of_line])
+        judge_corners(tally, joined, corners, edge_of_line, truth.edges_mm)
     return tally.text()
 
 
 def rendered(folder: Path) -> str:
     tally = Tally()
-    for place in sorted(p.parent for p in folder.glob("*/truth.json")):
-        rig, truth = load_rig(place / "rig.json"), load_scene_truth(place / "truth.json")
+    for scene_folder in sorted(p.parent for p in folder.glob("*/truth.json")):
+        rig, truth = (
+            load_rig(scene_folder / "rig.json"),
+            load_scene_truth(scene_folder / "truth.json"),
+        )
         segments = {}
         for view in VIEWS:
-            picture = cv2.imread(str(place / f"scene_{view}.png"), cv2.IMREAD_GRAYSCALE)
+            picture = cv2.imread(str(scene_folder / f"scene_{view}.png"), cv2.IMREAD_GRAYSCALE)
             if picture is None:
-                sys.exit(f"{place} lacks the picture of {view}.")
+                sys.exit(f"{scene_folder} lacks the picture of {view}.")
             segments[view] = find_segments(picture)
         edges_mm = truth.edges_mm[np.array(truth.edge_kinds) == "edge"]
         matches = match_segments(segments, rig)

@@ -1,4 +1,4 @@
-"""What damaged files do to libraries that read them, and to trinoc's readers.
+"""Effect of damaged files on libraries that read them, and on trinoc's readers.
 
 A library that ends the process reads in a child process (`trinoc/io/child_process.py`): SciPy.
 
@@ -77,18 +77,18 @@ def _valid(folder: Path) -> dict[str, Path]:
     from tests.io.formats.bench import bench_rig
     from trinoc.io import FORMATS
 
-    found = {}
+    files = {}
     for name, ending in (("matlab", ".mat"), ("opencv", ".yml"), ("kalibr", ".yaml")):
-        found[name] = folder / f"valid{ending}"
-        FORMATS[name].save(bench_rig(4), found[name])
-    found["obj"] = folder / "valid.obj"
+        files[name] = folder / f"valid{ending}"
+        FORMATS[name].save(bench_rig(4), files[name])
+    files["obj"] = folder / "valid.obj"
     corners = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1))
-    found["obj"].write_text(corners + "f 1 2 4 3\nf 5 6 8 7\nl 1 5\nl 2 6 8\n")
+    files["obj"].write_text(corners + "f 1 2 4 3\nf 5 6 8 7\nl 1 5\nl 2 6 8\n")
     image = np.random.default_rng(1).integers(0, 256, (48, 64), np.uint8)
     for ending in ("png", "tif", "jpg", "bmp", "pgm", "webp"):
-        found[ending] = folder / f"valid.{ending}"
-        found[ending].write_bytes(cv2.imencode(f".{ending}", image)[1].tobytes())
-    return found
+        files[ending] = folder / f"valid.{ending}"
+        files[ending].write_bytes(cv2.imencode(f".{ending}", image)[1].tobytes())
+    return files
 
 
 READERS = [
@@ -106,21 +106,25 @@ READERS = [
 
 
 def damaged(content: bytes, random: np.random.Generator) -> bytes:
-    """A copy with one to three damages: cut, flipped, replaced, or with bytes put in."""
+    """A copy with one to three damages: truncated, or with changed or inserted bytes."""
     for _ in range(random.integers(1, 4)):
-        at = int(random.integers(0, max(len(content), 1)))
-        come = HUGE[random.integers(len(HUGE))]
+        position = int(random.integers(0, max(len(content), 1)))
+        insertion = HUGE[random.integers(len(HUGE))]
         match random.integers(5):
             case 0:
-                content = content[:at]
+                content = content[:position]
             case 1 if content:
-                content = content[:at] + bytes([random.integers(256)]) + content[at + 1 :]
+                content = (
+                    content[:position] + bytes([random.integers(256)]) + content[position + 1 :]
+                )
             case 2:
-                content = content[:at] + come + content[at:]
+                content = content[:position] + insertion + content[position:]
             case 3:
-                content = content[:at] + come + content[at + len(come) :]
+                content = content[:position] + insertion + content[position + len(insertion) :]
             case _:
-                content = content[:at] + content[at : at + 12] * 40 + content[at:]
+                content = (
+                    content[:position] + content[position : position + 12] * 40 + content[position:]
+                )
     return content
 
 
@@ -135,41 +139,43 @@ def _child(read, path: Path, names: list[str], pipe) -> None:
         try:
             read(path / name)
         except MemoryError:
-            said = "no memory"
+            outcome = "no memory"
         except BaseException:
-            said = "refused"
+            outcome = "refused"
         else:
-            said = "read"
-        pipe.send((said, name, time.monotonic() - start))
+            outcome = "read"
+        pipe.send((outcome, name, time.monotonic() - start))
     pipe.send(("end", "", 0.0))
 
 
 def tried(read, path: Path, names: list[str]) -> tuple[Counter, float]:
-    """What became of the files, and the longest time of one."""
-    count, longest, left = Counter(), 0.0, list(names)
-    while left:
-        here, there = SPAWN.Pipe(duplex=False)
-        process = SPAWN.Process(target=_child, args=(read, path, left, there))
+    """Outcomes of the files, and the longest time of one."""
+    count, longest, remaining = Counter(), 0.0, list(names)
+    while remaining:
+        receiver, sender = SPAWN.Pipe(duplex=False)
+        process = SPAWN.Process(target=_child, args=(read, path, remaining, sender))
         process.start()
-        there.close()
+        sender.close()
         now = ""
         try:
-            while here.poll(30.0 if not now else LONGEST_S + 3):
-                said, name, seconds = here.recv()
-                if said == "end":
-                    left = []
+            while receiver.poll(30.0 if not now else LONGEST_S + 3):
+                outcome, name, seconds = receiver.recv()
+                if outcome == "end":
+                    remaining = []
                     break
                 now = name
-                if said != "begin":
-                    count[said if seconds < LONGEST_S else "slow"] += 1
+                if outcome != "begin":
+                    count[outcome if seconds < LONGEST_S else "slow"] += 1
                     longest = max(longest, seconds)
-                    left = left[left.index(name) + 1 :]
+                    remaining = remaining[remaining.index(name) + 1 :]
             else:
                 count["slow"] += 1
-                left = left[left.index(now) + 1 :] if now in left else left[1:]
+                remaining = (
+                    remaining[remaining.index(now) + 1 :] if now in remaining else remaining[1:]
+                )
         except EOFError:
             count["crashed"] += 1
-            left = left[left.index(now) + 1 :] if now in left else left[1:]
+            remaining = remaining[remaining.index(now) + 1 :] if now in remaining else remaining[1:]
         process.kill()
         process.join()
     return count, longest

@@ -1,4 +1,4 @@
-"""Make the scenes of segments that the benchmarks read, and say which other data go where.
+"""Make the scenes of segments that the benchmarks read, and list the other data sets.
 
     python benchmarks/make_data.py DIR [--only NAME ...]
 
@@ -24,7 +24,7 @@ from trinoc.synth import table1_rig
 
 
 class Recipe(NamedTuple):
-    """A scene, how its detector errs, and how many times each pixel is divided along a side."""
+    """A scene, the errors of its detector, and the subdivisions of a pixel along a side."""
 
     scene: Scene
     detector: Detector
@@ -32,7 +32,7 @@ class Recipe(NamedTuple):
 
 
 class DataSet(NamedTuple):
-    """A public data set: its folder under DIR, one of its files, what it is, and who reads it."""
+    """A public data set: its folder under DIR, one of its files, description, and readers."""
 
     folder: str
     file: str
@@ -98,7 +98,7 @@ PUBLIC = (
 
 
 def recipes() -> dict[str, Recipe]:
-    """Every scene by its name; the numbers are seeds."""
+    """Recipe of every scene, by name; the numbers in the names are seeds."""
     return {
         "table_clean": Recipe(block_scene(130_000, count=8), CLEAN),
         "table_0": Recipe(block_scene(130_000, count=8), Detector()),
@@ -120,7 +120,7 @@ def write_scene(folder: Path, name: str, recipe: Recipe) -> None:
     rig = table1_rig(resolution=recipe.resolution)
     segments, truth = simulate_segments(recipe.scene, rig, recipe.detector, seed=130_000)
     size = np.array(rig[VIEWS[0]].image_size_px, dtype=float)
-    found = {
+    endpoints = {
         f"segs_{k}": segments[view].endpoints_px.reshape(-1, 4) for k, view in enumerate(VIEWS)
     }
     edge_of = {f"gid_{k}": truth.edge_of[view] for k, view in enumerate(VIEWS)}
@@ -129,11 +129,11 @@ def write_scene(folder: Path, name: str, recipe: Recipe) -> None:
     np.savez_compressed(
         folder / f"{name}.gt.npz", X=truth.edges_mm.reshape(-1, 6), **edge_of, **extent
     )
-    np.savez_compressed(folder / f"{name}.npz", P=matrices, size=size, **found)
+    np.savez_compressed(folder / f"{name}.npz", P=matrices, size=size, **endpoints)
 
 
 def main() -> None:
-    """Make what is missing of the scenes, and list the rest."""
+    """Make the missing scenes, and list the data sets that exist or are missing."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, metavar="DIR")
     parser.add_argument("--only", nargs="*", choices=list(recipes()), default=list(recipes()))

@@ -1,4 +1,4 @@
-"""Matches against segments whose edges are known: pairs and triples of segments that are right.
+"""Precision and recall of matched pairs and triples, for segments whose edges are known.
 
 A pair or a triple of segments is right when its members come from one edge and their true
 extents on it overlap. Precision is the share of what was put out that is right; recall is the
@@ -22,7 +22,7 @@ Group = tuple[tuple[int, int], ...]
 
 
 class GroupScore(NamedTuple):
-    """Shares right and found, and how many were put out and are true."""
+    """Precision and recall, and the numbers of published and of true groups."""
 
     precision: float
     recall: float
@@ -38,8 +38,10 @@ class MatchScore(NamedTuple):
 
 
 def score_matches(matches: Any, truth: SegmentTruth) -> MatchScore:
-    """Precision and recall of the triples and pairs of views that tracks join; of `matches` the
-    names of the `views` count, and the `index` (t, v), -1 where not seen."""
+    """Precision and recall of the triples and pairs of segments that tracks join.
+
+    matches : any object with `views`, the names, and `index` (t, v), -1 where not matched.
+    """
     rows = np.asarray(matches.index)
     members = (tuple((v, int(s)) for v, s in enumerate(row) if s >= 0) for row in rows)
     return score_groups(matches.views, members, truth)
@@ -48,14 +50,14 @@ def score_matches(matches: Any, truth: SegmentTruth) -> MatchScore:
 def score_groups(
     views: tuple[str, ...], members: Iterable[Group], truth: SegmentTruth
 ) -> MatchScore:
-    """As `score_matches`, for tracks given as members (view's number in `views`, segment)."""
+    """Scores as of `score_matches`, for tracks as members (view's number in `views`, segment)."""
     put_out: dict[int, set[Group]] = {2: set(), 3: set()}
     for group in members:
-        for size, found in put_out.items():
-            found.update(itertools.combinations(group, size))
+        for size, groups in put_out.items():
+            groups.update(itertools.combinations(group, size))
     scores = {
-        size: _group_score(found, _true_groups(views, truth, size), views, truth)
-        for size, found in put_out.items()
+        size: _group_score(groups, _true_groups(views, truth, size), views, truth)
+        for size, groups in put_out.items()
     }
     return MatchScore(triples=scores[3], pairs=scores[2])
 
@@ -83,7 +85,7 @@ def _is_right(group: Group, views: tuple[str, ...], truth: SegmentTruth) -> bool
 
 
 def _common(group: Group, views: tuple[str, ...], truth: SegmentTruth) -> tuple[float, float]:
-    """Length that the members' extents share, and that of the shortest, in parts of the edge."""
+    """Length that the members' extents share, and length of the shortest, in edge lengths."""
     extents = np.sort([truth.extent[views[view]][segment] for view, segment in group], axis=1)
     shared = extents[:, 1].min() - extents[:, 0].max()
     return float(shared), float((extents[:, 1] - extents[:, 0]).min())
@@ -99,8 +101,8 @@ def _true_groups(views: tuple[str, ...], truth: SegmentTruth, size: int) -> set[
                 members[int(edge)][view].append((view, segment))
     groups = set()
     for by_view in members.values():
-        for chosen in itertools.combinations(by_view, size):
-            for group in itertools.product(*chosen):
+        for segment_lists in itertools.combinations(by_view, size):
+            for group in itertools.product(*segment_lists):
                 shared, shortest = _common(group, views, truth)
                 if shared >= LEAST_COMMON_SHARE * shortest:
                     groups.add(group)

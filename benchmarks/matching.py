@@ -61,7 +61,7 @@ BINS = np.array([0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0])
 
 
 def fresh_problems(kind: str, count: int) -> Iterator[Problem]:
-    """Scenes of seeds from FRESH_SEED on, which were looked at for nothing but this table."""
+    """Scenes of seeds from FRESH_SEED on, which only this table uses."""
     for seed in range(FRESH_SEED, FRESH_SEED + count):
         rig = table1_rig(resolution=4 if kind.endswith("x4") else 1)
         if kind.startswith("table"):
@@ -108,25 +108,25 @@ def merton(folder: Path) -> None:
         }
         rig = Rig.from_matrices(matrices, (1024, 768))
         plain = {view: data[f"segments_{k}"] for k, view in enumerate(VIEWS)}
-        given = [("as they are", plain), ("with their sides", _sided(plain))]
+        inputs = [("as they are", plain), ("with their sides", _sided(plain))]
         pictures = [folder / f"vgg_{name}" / f"view{k}.jpg" for k in range(len(VIEWS))]
         if all(picture.exists() for picture in pictures):
-            given.append(("with side levels", _with_levels(plain, pictures)))
-        for label, segments in given:
+            inputs.append(("with side levels", _with_levels(plain, pictures)))
+        for label, segments in inputs:
             matches = match_segments(segments, rig)
             triples = matches.index[(matches.index >= 0).all(axis=1)]
-            found = {tuple(row) for row in triples.tolist()}
-            share = np.mean([tuple(row) in found for row in data["line_matches"].tolist()])
-            near = np.mean(_reprojection_px(matches, rig) < 1.5)
+            triple_set = {tuple(row) for row in triples.tolist()}
+            share = np.mean([tuple(row) in triple_set for row in data["line_matches"].tolist()])
+            share_near = np.mean(_reprojection_px(matches, rig) < 1.5)
             print(
-                f"{name} {label:17s} {share:.3f} ({len(triples)}), under 1.5 px {near:.3f}; "
+                f"{name} {label:17s} {share:.3f} ({len(triples)}), under 1.5 px {share_near:.3f}; "
                 f"published, of p {_published(matches, data['line_matches'])}; {elsewhere}",
                 flush=True,
             )
 
 
 def corridor(folder: Path) -> None:
-    """Rows of published matches in eleven views: whole in one track, and the share that is."""
+    """Print the share of each published match, in eleven views, that one track contains."""
     data = np.load(folder / "vgg_corridor" / "corridor.npz")
     names = [str(view) for view in range(len(data["projection"]))]
     rig = Rig.from_matrices(dict(zip(names, data["projection"], strict=True)), (512, 512))
@@ -134,39 +134,45 @@ def corridor(folder: Path) -> None:
     rows = data["line_matches"]
     members = ((matches.index[:, None] == rows) & (rows >= 0)).sum(axis=2).max(axis=0)
     share = members / (rows >= 0).sum(axis=1)
-    near = np.quantile(_reprojection_px(matches, rig), [0.5, 0.95, 1.0])
+    quantiles_px = np.quantile(_reprojection_px(matches, rig), [0.5, 0.95, 1.0])
     print(
         f"corridor, 11 views: whole rows {np.mean(share == 1):.3f}, of a row {share.mean():.3f}; "
-        f"{len(matches)} tracks; reprojection, median, 95 %, most: {near.round(2)} px"
+        f"{len(matches)} tracks; reprojection, median, 95 %, most: {quantiles_px.round(2)} px"
     )
 
 
 def _published(matches: Matches, published: np.ndarray) -> str:
-    """Of triples with a segment of a published match, the share that is published, by posterior."""
+    """Share of published matches among triples with a segment of one, by posterior."""
     three = (matches.index >= 0).all(axis=1)
     rows, p = matches.index[three], matches.posterior[three]
-    known = np.stack([np.isin(rows[:, v], published[:, v]) for v in range(len(VIEWS))]).any(axis=0)
+    shares_segment = np.stack(
+        [np.isin(rows[:, v], published[:, v]) for v in range(len(VIEWS))]
+    ).any(axis=0)
     right = (rows[:, None] == published).all(axis=2).any(axis=1)
     cells = []
     for low, high in ((0.7, 0.9), (0.9, 0.97), (0.97, 0.99), (0.99, 1.01)):
-        inside = known & (p >= low) & (p < high)
+        inside = shares_segment & (p >= low) & (p < high)
         share = right[inside].mean() if inside.any() else np.nan
         cells.append(f"{low} to {min(high, 1.0)}: {share:.2f} ({inside.sum()})")
     return ", ".join(cells)
 
 
 def _sided(plain: dict[str, np.ndarray]) -> dict[str, Segments]:
-    """These segments run with the darker side on one hand, as their order of ends tells."""
+    """Segments whose darker side is on one hand, as the order of their ends defines."""
     sided = {}
     for view, ends in plain.items():
-        given = Segments.from_endpoints(ends)
-        fields = given.endpoints_px, given.covariance_px2, np.ones(len(ends), dtype=np.int64)
-        sided[view] = Segments(*fields, given.contrast, given.support, None)
+        view_segments = Segments.from_endpoints(ends)
+        fields = (
+            view_segments.endpoints_px,
+            view_segments.covariance_px2,
+            np.ones(len(ends), dtype=np.int64),
+        )
+        sided[view] = Segments(*fields, view_segments.contrast, view_segments.support, None)
     return sided
 
 
 def _with_levels(plain: dict[str, np.ndarray], pictures: list[Path]) -> dict[str, Segments]:
-    """These segments with the grey levels beside them in their pictures."""
+    """Segments with the grey levels on their sides, measured in their pictures."""
     levels = {}
     for (view, ends), picture in zip(plain.items(), pictures, strict=True):
         image = np.asarray(cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE))
@@ -190,7 +196,7 @@ def _reprojection_px(matches: Matches, rig: Rig) -> np.ndarray:
 
 
 def is_right(members: list[tuple[int, int]], truth: SegmentTruth) -> bool | None:
-    """Whether segments (view, number) are of one edge and overlap; None where not scored."""
+    """True if segments (view, number) are of one edge and overlap; None if not scored."""
     edges = {int(truth.edge_of[VIEWS[view]][segment]) for view, segment in members}
     if edges == {-2}:
         return None
@@ -202,20 +208,20 @@ def is_right(members: list[tuple[int, int]], truth: SegmentTruth) -> bool | None
 def steps(problem: Problem) -> dict[str, MatchScore]:
     """Scores after candidates and exclusion, after neighbours, and after pairs."""
     _, rig, segments, truth = problem
-    seen = prepare(segments, rig, None)
-    strangers = fit_clutter(seen.lines, seen.counts)
-    candidates = trinocular_candidates(seen.lines, (0, 1, 2), seen.counts, strangers)
+    inputs = prepare(segments, rig, None)
+    strangers = fit_clutter(inputs.lines, inputs.counts)
+    candidates = trinocular_candidates(inputs.lines, (0, 1, 2), inputs.counts, strangers)
     scores = {}
     for label, neighbours in (("1", False), ("1+2", True)):
-        chosen = select(candidates, float(np.mean(seen.counts)), neighbours=neighbours)
-        scores[label] = score_groups(seen.names, _groups(seen, chosen), truth)
+        selection = select(candidates, float(np.mean(inputs.counts)), neighbours=neighbours)
+        scores[label] = score_groups(inputs.names, _groups(inputs, selection), truth)
     scores["1+2+3"] = score_matches(match_segments(segments, rig), truth)
     return scores
 
 
-def _groups(seen: MatchInput, chosen: Selection) -> list[tuple[tuple[int, int], ...]]:
-    rows = chosen.candidates.index[chosen.is_accepted]
-    return [tuple((v, int(seen.order[v][s])) for v, s in enumerate(row)) for row in rows]
+def _groups(inputs: MatchInput, selection: Selection) -> list[tuple[tuple[int, int], ...]]:
+    rows = selection.candidates.index[selection.is_accepted]
+    return [tuple((v, int(inputs.order[v][s])) for v, s in enumerate(row)) for row in rows]
 
 
 def table_of_fresh(seeds: int) -> None:
@@ -238,11 +244,11 @@ def table_of_fresh(seeds: int) -> None:
             means = np.mean([[v.triples[:2], v.pairs[:2]] for v in values], axis=0)
             text = " ".join(f"{p:.3f}/{r:.3f}" for p, r in means)
             print(f"{kind:11s} {label:6s} triples, pairs {text}", flush=True)
-        right, out, found, true = np.sum(alone, axis=0)
-        kept, near = np.sum(epipolar, axis=0)
+        right, out, correct, true = np.sum(alone, axis=0)
+        joined, flat = np.sum(epipolar, axis=0)
         print(
-            f"{kind:11s} step 3 alone {right / max(out, 1):.3f}/{found / max(true, 1):.3f} "
-            f"({out} out, {true} true); near epipolar {kept / max(near, 1):.3f} of {near}; "
+            f"{kind:11s} step 3 alone {right / max(out, 1):.3f}/{correct / max(true, 1):.3f} "
+            f"({out} out, {true} true); near epipolar {joined / max(flat, 1):.3f} of {flat}; "
             f"calibration error {_calibration_error(outcomes):.3f}"
         )
     print("\nposterior   put out  stated  right")
@@ -250,8 +256,8 @@ def table_of_fresh(seeds: int) -> None:
     for low, high in pairwise(BINS):
         inside = (p >= low) & ((p < high) | (high == 1.0))
         if inside.any():
-            stated, share = p[inside].mean(), right[inside].mean()
-            print(f"{low:.2f}-{high:.2f}  {inside.sum():8d}   {stated:.3f}  {share:.3f}")
+            mean_posterior, share = p[inside].mean(), right[inside].mean()
+            print(f"{low:.2f}-{high:.2f}  {inside.sum():8d}   {mean_posterior:.3f}  {share:.3f}")
     print(f"expected calibration error {_calibration_error(reliability):.3f}")
 
 
@@ -266,8 +272,12 @@ def _outcomes(matches: Matches, truth: SegmentTruth) -> list[tuple[float, bool]]
 
 def _calibration_error(outcomes: list[tuple[float, bool]]) -> float:
     p, right = np.array(outcomes, dtype=float).T
-    place = np.clip(np.digitize(p, np.linspace(0, 1, 11)) - 1, 0, 9)
-    gaps = [abs((p - right)[place == bin_].sum()) for bin_ in range(10) if (place == bin_).any()]
+    bin_number = np.clip(np.digitize(p, np.linspace(0, 1, 11)) - 1, 0, 9)
+    gaps = [
+        abs((p - right)[bin_number == bin_].sum())
+        for bin_ in range(10)
+        if (bin_number == bin_).any()
+    ]
     return float(np.sum(gaps) / len(p))
 
 
@@ -276,7 +286,7 @@ def _step_three(matches: Matches, truth: SegmentTruth) -> tuple[int, int, int, i
     out = []
     for row in matches.index[(matches.index >= 0).sum(axis=1) == 2]:
         out.append(tuple((int(v), int(row[v])) for v in np.flatnonzero(row >= 0)))
-    judged = [is_right(list(pair), truth) for pair in out]
+    verdicts = [is_right(list(pair), truth) for pair in out]
     true = set()
     for a, b in combinations(range(3), 2):
         third = set(truth.edge_of[VIEWS[3 - a - b]].tolist())
@@ -287,7 +297,7 @@ def _step_three(matches: Matches, truth: SegmentTruth) -> tuple[int, int, int, i
                 common = extents[:, 1].min() - extents[:, 0].max()
                 if common >= 0.2 * (extents[:, 1] - extents[:, 0]).min():
                     true.add(((a, int(i)), (b, int(j))))
-    scored = [right for right in judged if right is not None]
+    scored = [right for right in verdicts if right is not None]
     return sum(scored), len(scored), len(true & set(out)), len(true)
 
 
@@ -295,7 +305,7 @@ def _near_epipolar(
     matches: Matches, rig: Rig, segments: dict[str, Segments], truth: SegmentTruth
 ) -> tuple[int, int]:
     """(found, true) pairs within 5 degrees of an epipolar line whose edge three views see."""
-    found, near = 0, 0
+    joined_pairs, true_pairs = 0, 0
     joined = {
         ((a, int(row[a])), (b, int(row[b])))
         for row in matches.index[:, [matches.views.index(v) for v in VIEWS]]
@@ -317,9 +327,9 @@ def _near_epipolar(
                     extents[:, 1].min() - extents[:, 0].max()
                     >= 0.2 * (extents[:, 1] - extents[:, 0]).min()
                 ):
-                    near += 1
-                    found += ((a, int(i)), (b, int(j))) in joined
-    return found, near
+                    true_pairs += 1
+                    joined_pairs += ((a, int(i)), (b, int(j))) in joined
+    return joined_pairs, true_pairs
 
 
 def batch() -> None:
@@ -331,11 +341,11 @@ def batch() -> None:
         frames.append(simulate_segments(scene, rig, Detector(shortest_px=32.0), seed=seed)[0])
     match_segments(frames[0], rig)
     start = time.perf_counter()
-    found = match_many(frames, rig)
+    result = match_many(frames, rig)
     seconds = time.perf_counter() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(
-        f"{len(found)} frames in {seconds:.1f} s, {(found.status == 'ok').sum()} ok, "
+        f"{len(result)} frames in {seconds:.1f} s, {(result.status == 'ok').sum()} ok, "
         f"peak memory so far {peak:.0f} MiB"
     )
 
@@ -366,16 +376,16 @@ def main() -> None:
     parser.add_argument("--rendered", type=Path)
     parser.add_argument("--no-files", action="store_true")
     parser.add_argument("--no-times", action="store_true")
-    given = parser.parse_args()
-    if "TRINOC_DATA" in os.environ and not given.no_files:
+    options = parser.parse_args()
+    if "TRINOC_DATA" in os.environ and not options.no_files:
         folder = Path(os.environ["TRINOC_DATA"])
         table_of_files(folder / "scenes")
         merton(folder)
         corridor(folder)
-    if given.seeds:
-        table_of_fresh(given.seeds)
-    table_of_rendered(given.rendered, _calibration_error)
-    if not given.no_times:
+    if options.seeds:
+        table_of_fresh(options.seeds)
+    table_of_rendered(options.rendered, _calibration_error)
+    if not options.no_times:
         times()
         batch()
 

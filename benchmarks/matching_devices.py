@@ -1,4 +1,4 @@
-"""Matching on every device that JAX finds, each beside the CPU: time, peak memory, same answer.
+"""Matching on each device of JAX against the CPU: time, peak memory, equality of the results.
 
     python benchmarks/matching_devices.py [--counts 500 2000] [--frames 200] [--once]
 
@@ -28,48 +28,48 @@ def main() -> None:
     parser.add_argument("--counts", type=int, nargs="+", default=[500, 2000])
     parser.add_argument("--frames", type=int, default=200)
     parser.add_argument("--once", action="store_true")
-    given = parser.parse_args()
+    options = parser.parse_args()
     devices = [*jax.devices("cpu")[:1], *(d for d in jax.devices() if d.platform != "cpu")]
     print(f"devices: {', '.join(f'{d.platform} {d.device_kind}' for d in devices)}")
     rig = table1_rig(resolution=4)
-    for count in given.counts:
+    for count in options.counts:
         scene = loose_segments(FRESH_SEED + 500, count=count)
         segments, _ = simulate_segments(scene, rig, Detector(shortest_px=32.0), seed=FRESH_SEED)
         answers = []
         for device in devices:
             with jax.default_device(device):
-                line, found = _timed(lambda: match_segments(segments, rig), given.once)  # noqa: B023
-            answers.append(found)
+                line, matches = _timed(lambda: match_segments(segments, rig), options.once)  # noqa: B023
+            answers.append(matches)
             print(f"{len(segments['upper']):6d} per view, {device.platform}: {line}", flush=True)
         _compare(answers)
-    if given.frames:
+    if options.frames:
         frames = [
             simulate_segments(
                 loose_segments(seed, count=75), rig, Detector(shortest_px=32.0), seed=seed
             )[0]
-            for seed in range(FRESH_SEED, FRESH_SEED + given.frames)
+            for seed in range(FRESH_SEED, FRESH_SEED + options.frames)
         ]
         for device in devices:
             with jax.default_device(device):
-                line, _ = _timed(lambda: match_many(frames, rig), given.once)
-            print(f"{given.frames} frames, {device.platform}: {line}", flush=True)
+                line, _ = _timed(lambda: match_many(frames, rig), options.once)
+            print(f"{options.frames} frames, {device.platform}: {line}", flush=True)
 
 
 def _timed(call: Callable[[], Matches], once: bool) -> tuple[str, Matches]:
-    found, *first = _seconds(call)
+    matches, *first = _seconds(call)
     line = "first {:.2f} s ({:.2f} s of processor)".format(*first)
     if not once:
         rows = [_seconds(call)[1:] for _ in range(3)]
         line += ", warm {:.3f} s ({:.3f} s of processor)".format(*np.median(rows, axis=0))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return f"{line}, peak memory so far {peak:.0f} MiB", found
+    return f"{line}, peak memory so far {peak:.0f} MiB", matches
 
 
 def _seconds(call: Callable[[], Matches]) -> tuple[Matches, float, float]:
-    """(what it returns, seconds of the clock, seconds of processor)."""
+    """(result of the call, wall-clock seconds, processor seconds)."""
     wall, processor = time.perf_counter(), time.process_time()
-    found = call()
-    return found, time.perf_counter() - wall, time.process_time() - processor
+    result = call()
+    return result, time.perf_counter() - wall, time.process_time() - processor
 
 
 def _compare(answers: list[Matches]) -> None:

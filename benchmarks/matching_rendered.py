@@ -1,4 +1,4 @@
-"""Matching of rendered pictures: length that is right and found, and whether p is borne out."""
+"""Matching of rendered pictures: precision and recall of length, calibration of posteriors."""
 
 import json
 from collections.abc import Callable
@@ -30,8 +30,8 @@ TOLERANCE_MM, GREY_STEP, STEP_MM = 1.0, 8.0, 0.5
 SURE = 0.9
 
 
-class Place(NamedTuple):
-    """A rendered scene; `triangles_mm` are its surfaces, `shadows` what they take away."""
+class RenderedScene(NamedTuple):
+    """A rendered scene; `triangles_mm` are its surfaces, `shadows` the removed grey levels."""
 
     name: str
     rig: Rig
@@ -42,7 +42,7 @@ class Place(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Points along the lines put out: whose, the length each stands for, and what it is."""
+    """Points along the matched lines: line number, represented length, and class."""
 
     owner: np.ndarray
     length_mm: np.ndarray
@@ -53,32 +53,36 @@ class Samples(NamedTuple):
 def table_of_rendered(folder: Path | None, calibration_error: Callable) -> None:
     """Print the demo's figures and, of the scenes in a folder, the means."""
     print("\n## Rendered pictures: precision (shadow lines neither way) / recall of length at 1 mm")
-    demo = _place(Path(trinoc.synth.__file__).parent / "demo", table1_rig())
+    demo = load_rendered_scene(Path(trinoc.synth.__file__).parent / "demo", table1_rig())
     for label, detector in DETECTORS.items():
-        found, _ = _figures(demo, detector)
-        print(f"demo        {label:28s} {_words(found)}", flush=True)
+        figures, _ = _figures(demo, detector)
+        print(f"demo        {label:28s} {_words(figures)}", flush=True)
     folders = sorted(folder.iterdir()) if folder else []
-    places = [_place(f, load_rig(f / "rig.json")) for f in folders if (f / "truth.json").exists()]
-    for label, detector in DETECTORS.items() if places else ():
+    scenes = [
+        load_rendered_scene(f, load_rig(f / "rig.json"))
+        for f in folders
+        if (f / "truth.json").exists()
+    ]
+    for label, detector in DETECTORS.items() if scenes else ():
         rows, strict, lenient = [], [], []
-        for place in places:
-            found, borne_out = _figures(place, detector)
-            rows.append(found)
+        for scene in scenes:
+            figures, borne_out = _figures(scene, detector)
+            rows.append(figures)
             strict += [(p, right) for p, right, _ in borne_out]
             lenient += [(p, right or shadow) for p, right, shadow in borne_out]
         errors = f"{calibration_error(strict):.3f} ({calibration_error(lenient):.3f})"
-        print(f"mean of {len(places):2d}  {label:28s} {_words(np.mean(rows, axis=0))}  ", end="")
+        print(f"mean of {len(scenes):2d}  {label:28s} {_words(np.mean(rows, axis=0))}  ", end="")
         print(f"calibration error {errors}", flush=True)
 
 
 def _contrast_alone(image: np.ndarray) -> Segments:
-    found = find_segments(image)
-    return eqx.tree_at(lambda s: s.side_levels, found, None, is_leaf=lambda leaf: leaf is None)
+    segments = find_segments(image)
+    return eqx.tree_at(lambda s: s.side_levels, segments, None, is_leaf=lambda leaf: leaf is None)
 
 
 def _geometry_alone(image: np.ndarray) -> Segments:
-    found = _contrast_alone(image)
-    return eqx.tree_at(lambda s: s.contrast, found, np.full(len(found.contrast), np.nan))
+    segments = _contrast_alone(image)
+    return eqx.tree_at(lambda s: s.contrast, segments, np.full(len(segments.contrast), np.nan))
 
 
 # For matching, arcs are kept in shorter pieces: chords of one arc that views cut differently.
@@ -92,27 +96,27 @@ DETECTORS: dict[str, Callable[[np.ndarray], Segments]] = {
 
 
 def _figures(
-    place: Place, detector: Callable[[np.ndarray], Segments]
+    scene: RenderedScene, detector: Callable[[np.ndarray], Segments]
 ) -> tuple[np.ndarray, list[tuple[float, bool, bool]]]:
     """(precision, the same without shadows, recall) of all, triples and sure ones; outcomes."""
-    segments = {view: detector(picture) for view, picture in place.pictures.items()}
-    matches = match_segments(segments, place.rig)
-    samples = _samples(place, matches)
+    segments = {view: detector(picture) for view, picture in scene.pictures.items()}
+    matches = match_segments(segments, scene.rig)
+    samples = _samples(scene, matches)
     three = (matches.index >= 0).sum(axis=1) > 2
-    found = []
+    figures = []
     for rows in (three | ~three, three, matches.posterior > SURE):
         recall = score_lengths(
-            matches.lines_mm[rows], place.truth, tolerance_mm=TOLERANCE_MM, grey_step=GREY_STEP
+            matches.lines_mm[rows], scene.truth, tolerance_mm=TOLERANCE_MM, grey_step=GREY_STEP
         ).recall
         length = samples.length_mm * rows[samples.owner]
         right = length[samples.right].sum()
-        found += [right / length.sum(), right / length[~samples.shadow].sum(), recall]
+        figures += [right / length.sum(), right / length[~samples.shadow].sum(), recall]
     count = np.bincount(samples.owner, minlength=len(matches.posterior))
     right, shadow = (
         np.bincount(samples.owner, is_so, minlength=len(count)) / count > 0.5
         for is_so in (samples.right, samples.right | samples.shadow)
     )
-    return np.array(found), list(zip(matches.posterior.tolist(), right, shadow, strict=True))
+    return np.array(figures), list(zip(matches.posterior.tolist(), right, shadow, strict=True))
 
 
 def length_by_views(truth: SceneTruth, lines_mm: np.ndarray) -> np.ndarray:
@@ -122,16 +126,16 @@ def length_by_views(truth: SceneTruth, lines_mm: np.ndarray) -> np.ndarray:
     )
     points, weight = sampled_segments(two, 0.5)
     in_three = distance_to_segments_mm(points, three) < 1e-6
-    near = distance_to_segments_mm(points, lines_mm) < TOLERANCE_MM
-    parts = (near & in_three, in_three, near & ~in_three, ~in_three)
+    is_near = distance_to_segments_mm(points, lines_mm) < TOLERANCE_MM
+    parts = (is_near & in_three, in_three, is_near & ~in_three, ~in_three)
     return np.array([weight[part].sum() for part in parts])
 
 
-def score_place(
-    place: Place, matches: Matches
+def score_scene(
+    scene: RenderedScene, matches: Matches
 ) -> tuple[np.ndarray, np.ndarray, list[tuple[float, bool, bool]]]:
     """(precision, the same without shadows, recall; recall by views; outcomes) of all lines."""
-    samples = _samples(place, matches)
+    samples = _samples(scene, matches)
     count = np.bincount(samples.owner, minlength=len(matches))
     right, shadow = (
         np.bincount(samples.owner, is_so, minlength=len(count)) / count > 0.5
@@ -139,23 +143,23 @@ def score_place(
     )
     length, good = samples.length_mm, samples.length_mm[samples.right].sum()
     recall = score_lengths(
-        matches.lines_mm, place.truth, tolerance_mm=TOLERANCE_MM, grey_step=GREY_STEP
+        matches.lines_mm, scene.truth, tolerance_mm=TOLERANCE_MM, grey_step=GREY_STEP
     ).recall
     scores = np.array([good / length.sum(), good / length[~samples.shadow].sum(), recall])
     outcomes = list(zip(matches.posterior.tolist(), right, shadow, strict=True))
-    return scores, length_by_views(place.truth, matches.lines_mm), outcomes
+    return scores, length_by_views(scene.truth, matches.lines_mm), outcomes
 
 
-def _words(found: np.ndarray) -> str:
+def _words(figures: np.ndarray) -> str:
     return "  ".join(
         f"{kind} {precision:.3f} ({without:.3f})/{recall:.3f}"
         for kind, (precision, without, recall) in zip(
-            ("all", "triples", f"p > {SURE}"), found.reshape(3, 3), strict=True
+            ("all", "triples", f"p > {SURE}"), figures.reshape(3, 3), strict=True
         )
     )
 
 
-def _place(folder: Path, rig: Rig) -> Place:
+def load_rendered_scene(folder: Path, rig: Rig) -> RenderedScene:
     pictures = {view: _picture(folder / f"scene_{view}.png") for view in VIEWS}
     truth = load_scene_truth(folder / "truth.json")
     seed = json.loads((folder / "truth.json").read_text()).get("seed")
@@ -166,7 +170,7 @@ def _place(folder: Path, rig: Rig) -> Place:
             view: shadow_gradient(folder / f"shadows_{view}.png", picture.shape)
             for view, picture in pictures.items()
         }
-    return Place(folder.name, rig, truth, pictures, triangles, shadows)
+    return RenderedScene(folder.name, rig, truth, pictures, triangles, shadows)
 
 
 def _picture(path: Path) -> np.ndarray:
@@ -176,7 +180,7 @@ def _picture(path: Path) -> np.ndarray:
     return picture
 
 
-def _samples(place: Place, matches: Matches) -> Samples:
+def _samples(scene: RenderedScene, matches: Matches) -> Samples:
     """Points every half millimetre along the lines.
 
     A point is on a shadow's line where it lies on no edge but on a surface, and where in all
@@ -190,16 +194,16 @@ def _samples(place: Place, matches: Matches) -> Samples:
         owner
     ]
     points = matches.lines_mm[owner, 0] + position[:, None] * step[owner]
-    right = distance_to_segments_mm(points, place.truth.edges_mm) < TOLERANCE_MM
-    if place.shadows is None:
+    right = distance_to_segments_mm(points, scene.truth.edges_mm) < TOLERANCE_MM
+    if scene.shadows is None:
         return Samples(owner, (length / count)[owner], right, np.zeros_like(right))
-    shadow = ~right & _on_surface(points, place.triangles_mm)
+    shadow = ~right & _on_surface(points, scene.triangles_mm)
     unit = step[owner] / length[owner, None]
     for column, view in enumerate(matches.views):
-        here, there = (_project(place.rig[view].matrix_px, p) for p in (points, points + unit))
+        here, there = (_project(scene.rig[view].matrix_px, p) for p in (points, points + unit))
         along = (there - here) / np.linalg.norm(there - here, axis=1, keepdims=True)
-        seen = matches.index[owner, column] >= 0
-        shadow &= ~seen | samples_on_shadow(here, along, place.shadows[view])
+        is_member = matches.index[owner, column] >= 0
+        shadow &= ~is_member | samples_on_shadow(here, along, scene.shadows[view])
     return Samples(owner, (length / count)[owner], right, shadow)
 
 
@@ -209,8 +213,8 @@ def _project(matrix: np.ndarray, points_mm: np.ndarray) -> np.ndarray:
 
 
 def _on_surface(points_mm: np.ndarray, triangles_mm: np.ndarray) -> np.ndarray:
-    """Whether points lie within the tolerance of the table (Z = 0) or of a triangle."""
-    near = np.abs(points_mm[:, 2]) < TOLERANCE_MM
+    """Mask of the points within the tolerance of the table (Z = 0) or of a triangle."""
+    is_near = np.abs(points_mm[:, 2]) < TOLERANCE_MM
     for triangle in triangles_mm:
         first, second = triangle[1] - triangle[0], triangle[2] - triangle[0]
         normal = np.cross(first, second)
@@ -219,5 +223,5 @@ def _on_surface(points_mm: np.ndarray, triangles_mm: np.ndarray) -> np.ndarray:
         basis = np.stack([first, second], axis=1)
         inner = offset @ np.linalg.pinv(basis).T
         inside = (inner >= 0).all(axis=1) & (inner.sum(axis=1) <= 1)
-        near |= inside & (np.abs(height) < TOLERANCE_MM)
-    return near
+        is_near |= inside & (np.abs(height) < TOLERANCE_MM)
+    return is_near

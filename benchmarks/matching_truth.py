@@ -1,4 +1,4 @@
-"""Whether what the matcher claims is true: ellipsoids, noise, posteriors, places, many views.
+"""Test of the matcher's reports: ellipsoids, noise, posteriors, positions, many views.
 
     python benchmarks/matching_truth.py [--seeds N] [--first SEED] [--only angle noise ...]
 
@@ -59,7 +59,7 @@ def collinear_rig(lens: Intrinsics | None = None) -> Rig:
 
 
 def ring(count: int) -> Rig:
-    """Cameras on an arc about the scene, by turns higher and lower."""
+    """Cameras on an arc about the scene, alternately higher and lower."""
     reach = min(20.0 * (count - 1) / 2, 160.0)
     return Rig(
         {
@@ -82,13 +82,13 @@ def edges_of(matches: Matches, truth: SegmentTruth, track: int) -> set[int]:
 
 def squares(matches: Matches, truth: SegmentTruth) -> np.ndarray:
     """(t,) Mahalanobis distance of each right line from its edge; NaN where it is not right."""
-    found = np.full(len(matches), np.nan)
+    distances = np.full(len(matches), np.nan)
     for track in range(len(matches)):
         edges = edges_of(matches, truth, track)
         if len(edges) > 1 or min(edges) < 0:
             continue
-        found[track] = square_of(matches, track, truth.edges_mm[min(edges)])
-    return found
+        distances[track] = square_of(matches, track, truth.edges_mm[min(edges)])
+    return distances
 
 
 def square_of(matches: Matches, track: int, edge: np.ndarray) -> float:
@@ -103,16 +103,16 @@ def square_of(matches: Matches, track: int, edge: np.ndarray) -> float:
 
 def angles_deg(matches: Matches, rig: Rig) -> np.ndarray:
     """(t,) for pairs, the smaller angle of its fragments to the epipolar lines; NaN for others."""
-    found = np.full(len(matches), np.nan)
+    angles = np.full(len(matches), np.nan)
     for track, row in enumerate(matches.index):
         views = np.flatnonzero(row >= 0)
         if len(views) == 2:
             names = [matches.views[v] for v in views]
             ends = [matches.fragments_px[track, v] for v in views]
-            found[track] = min(
+            angles[track] = min(
                 _angle(rig, names[0], names[1], ends[0]), _angle(rig, names[1], names[0], ends[1])
             )
-    return found
+    return angles
 
 
 def _angle(rig: Rig, view: str, other: str, ends: np.ndarray) -> float:
@@ -123,10 +123,10 @@ def _angle(rig: Rig, view: str, other: str, ends: np.ndarray) -> float:
 
 
 def held(square: np.ndarray) -> str:
-    known = square[np.isfinite(square)]
-    if len(known) == 0:
+    valid = square[np.isfinite(square)]
+    if len(valid) == 0:
         return "   -      "
-    return f"{np.mean(known < chi2.ppf(0.95, 4)):.3f} ({len(known):4d})"
+    return f"{np.mean(valid < chi2.ppf(0.95, 4)):.3f} ({len(valid):4d})"
 
 
 def by_angle(seeds: range) -> None:
@@ -144,14 +144,14 @@ def by_angle(seeds: range) -> None:
         for _, seed, scene in scenes(seeds):
             segments, truth = simulate_segments(scene, rig, Detector(), seed=seed)
             matches = match_segments({view: segments[view] for view in views}, rig)
-            own = squares(matches, truth)
+            distances = squares(matches, truth)
             pair = (matches.index >= 0).sum(axis=1) == 2
-            square.append(own[pair])
+            square.append(distances[pair])
             angle.append(angles_deg(matches, rig)[pair])
-            triples.append(own[~pair])
+            triples.append(distances[~pair])
             refused += matches.counts.get("tracks along the epipolar lines", 0)
-        place = np.digitize(np.concatenate(angle), ANGLES) - 1
-        cells = [held(np.concatenate(square)[place == k]) for k in range(len(ANGLES) - 1)]
+        bin_number = np.digitize(np.concatenate(angle), ANGLES) - 1
+        cells = [held(np.concatenate(square)[bin_number == k]) for k in range(len(ANGLES) - 1)]
         print(
             f"{label:24s}{' '.join(cells)}; triples {held(np.concatenate(triples))}; "
             f"refused {refused}",
@@ -161,32 +161,35 @@ def by_angle(seeds: range) -> None:
 
 def by_noise(seeds: range) -> None:
     print("\n## Noise given wrongly: what is learned, what holds, precision/recall of pairs")
-    for true, given in ((0.5, 0.5), (1.0, 0.5), (0.1, 0.5), (0.5, 0.05), (0.5, 5.0)):
-        triples, pairs, scores, scales, stated = [], [], [], [], []
+    for true, stated_sigma_px in ((0.5, 0.5), (1.0, 0.5), (0.1, 0.5), (0.5, 0.05), (0.5, 5.0)):
+        triples, pairs, scores, scales, posteriors = [], [], [], [], []
         for kind, seed, scene in scenes(seeds):
             if kind == "table":
                 continue
             rig, detector = table1_rig(), Detector(end_sigma_px=true)
             segments, truth = simulate_segments(scene, rig, detector, seed=seed)
-            matches = match_segments(_plain(segments), rig, sigma_px=given)
-            own, two = squares(matches, truth), (matches.index >= 0).sum(axis=1) == 2
-            triples.append(own[~two])
-            pairs.append(own[two])
+            matches = match_segments(_plain(segments), rig, sigma_px=stated_sigma_px)
+            distances, is_pair = squares(matches, truth), (matches.index >= 0).sum(axis=1) == 2
+            triples.append(distances[~is_pair])
+            pairs.append(distances[is_pair])
             score = score_matches(matches, truth)
             scores.append((score.pairs.precision, score.pairs.recall))
             scales.append(getattr(matches, "noise_scale", 1.0))
-            stated.append(matches.posterior)
+            posteriors.append(matches.posterior)
         print(
-            f"{true:4g} px given as {given:<5g} scale {np.mean(scales):6.3f}; "
+            f"{true:4g} px given as {stated_sigma_px:<5g} scale {np.mean(scales):6.3f}; "
             f"triples {held(np.concatenate(triples))}, pairs {held(np.concatenate(pairs))}; "
             "{:.3f}/{:.3f}".format(*np.mean(scores, axis=0))
-            + f", mean posterior {np.concatenate(stated).mean():.3f}",
+            + f", mean posterior {np.concatenate(posteriors).mean():.3f}",
             flush=True,
         )
 
 
 def _plain(segments: dict[str, Segments]) -> dict[str, np.ndarray]:
-    return {v: np.asarray(given.endpoints_px).reshape(-1, 4) for v, given in segments.items()}
+    return {
+        v: np.asarray(view_segments.endpoints_px).reshape(-1, 4)
+        for v, view_segments in segments.items()
+    }
 
 
 def posteriors(seeds: range) -> None:
@@ -211,22 +214,22 @@ def posteriors(seeds: range) -> None:
 
 
 def _outcomes(matches: Matches, truth: SegmentTruth) -> list[tuple[float, bool]]:
-    found = []
+    outcomes = []
     for track, posterior in enumerate(matches.posterior.tolist()):
         edges = edges_of(matches, truth, track)
         if edges != {-2}:
-            found.append((posterior, len(edges) == 1 and min(edges) >= 0))
-    return found
+            outcomes.append((posterior, len(edges) == 1 and min(edges) >= 0))
+    return outcomes
 
 
 def _calibration_error(p: np.ndarray, right: np.ndarray) -> float:
     """The expected calibration error over ten bins."""
-    place = np.clip((10 * p).astype(int), 0, 9)
-    return float(np.abs(np.bincount(place, p - right, 10)).sum() / len(p))
+    bin_number = np.clip((10 * p).astype(int), 0, 9)
+    return float(np.abs(np.bincount(bin_number, p - right, 10)).sum() / len(p))
 
 
 def _of_a_perfect_one(p: np.ndarray) -> float:
-    """The mean error that posteriors which are true show with so few matches: it is no zero."""
+    """Mean calibration error of true posteriors for this number of matches; not zero."""
     generator = np.random.default_rng(0)
     drawn = (generator.random(len(p)) < p for _ in range(DRAWS))
     return float(np.mean([_calibration_error(p, right) for right in drawn]))
@@ -260,7 +263,7 @@ def behind(seeds: range) -> None:
     segments, _ = simulate_segments(scene, rig, Detector(), seed=seed)
     flip, width = np.diag([1.0, 1.0, -1.0, 1.0]), rig["left"].image_size_px[0] - 1
     turn = np.array([[-1.0, 0, width], [0, 1, 0], [0, 0, 1]])
-    for label, matrices, given in (
+    for label, matrices, inputs in (
         ("a left-handed world", {n: c.matrix_px @ flip for n, c in rig.items()}, segments),
         (
             "one mirrored picture",
@@ -274,7 +277,7 @@ def behind(seeds: range) -> None:
         ),
     ):
         try:
-            matches = match_segments(given, Rig.from_matrices(matrices, (512, 480)))
+            matches = match_segments(inputs, Rig.from_matrices(matrices, (512, 480)))
             print(f"{label}: {len(matches)} tracks")
         except InputError as error:
             print(f"{label}: {error}")
@@ -297,11 +300,11 @@ def many_views(seeds: range) -> None:
             began += time.perf_counter() - start
             score = score_matches(matches, truth)
             scores.append((score.pairs.precision, score.pairs.recall))
-            seen = (matches.index >= 0).sum(axis=1)
-            views += seen.tolist()
+            view_count = (matches.index >= 0).sum(axis=1)
+            views += view_count.tolist()
             assert matches.misfit is not None
-            for track in np.flatnonzero(seen > 2):
-                misfit, degrees = float(matches.misfit[track]), int(2 * (seen[track] - 2))
+            for track in np.flatnonzero(view_count > 2):
+                misfit, degrees = float(matches.misfit[track]), int(2 * (view_count[track] - 2))
                 beyond += chi2.sf(misfit, degrees) < 1e-6
                 if misfit / degrees > worst[0] / worst[1]:
                     worst = misfit, degrees, float(matches.posterior[track])
@@ -328,9 +331,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first", type=int, default=SEED)
     parser.add_argument("--only", nargs="*", default=list(PARTS), choices=PARTS)
-    given = parser.parse_args()
-    for part in given.only:
-        PARTS[part](range(given.first, given.first + given.seeds))
+    options = parser.parse_args()
+    for part in options.only:
+        PARTS[part](range(options.first, options.first + options.seeds))
 
 
 if __name__ == "__main__":

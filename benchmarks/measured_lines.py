@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from joined_lines import edges_of_lines
-from matching_rendered import Place, _place
+from matching_rendered import RenderedScene, load_rendered_scene
 from scipy.stats import chi2
 
 import trinoc
@@ -43,7 +43,7 @@ def errors(matches: Matches, edge: np.ndarray, edges_mm: np.ndarray) -> np.ndarr
 
 
 def crosses_often(matches: Matches) -> np.ndarray:
-    """(t,) whether each image of a line crosses many of the renderer's samples."""
+    """(t,) mask of the lines whose every image crosses many of the renderer's samples."""
     often = np.ones(len(matches), dtype=bool)
     for view in range(len(matches.views)):
         step = np.abs(np.diff(matches.fragments_px[:, view], axis=1)[:, 0]).min(axis=1)
@@ -51,27 +51,27 @@ def crosses_often(matches: Matches) -> np.ndarray:
     return often
 
 
-def of_scenes(name: str, places: list[Place]) -> None:
+def of_scenes(name: str, scenes: list[RenderedScene]) -> None:
     """Print the figures of all these scenes."""
-    rows, kinds, words, seconds = [], [], Counter(), np.zeros(2)
-    for number, place in enumerate(places):
+    rows, kinds, measure_counts, seconds = [], [], Counter(), np.zeros(2)
+    for number, scene in enumerate(scenes):
         for _ in range(1 if number else 2):  # the first run compiles
             start = time.process_time()
-            segments = {view: trinoc.find_segments(p) for view, p in place.pictures.items()}
-            matches = trinoc.match_segments(segments, place.rig)
+            segments = {view: trinoc.find_segments(p) for view, p in scene.pictures.items()}
+            matches = trinoc.match_segments(segments, scene.rig)
             middle = time.process_time()
-            after = trinoc.match.measure_lines(matches, segments, place.rig, place.pictures)
+            after = trinoc.match.measure_lines(matches, segments, scene.rig, scene.pictures)
             spent = np.array([middle - start, time.process_time() - middle])
         seconds += spent
-        straight = np.array(place.truth.edge_kinds) == "edge"
-        edges_mm = place.truth.edges_mm[straight]
+        straight = np.array(scene.truth.edge_kinds) == "edge"
+        edges_mm = scene.truth.edges_mm[straight]
         edge = edges_of_lines(matches.lines_mm, edges_mm)
-        own = edge >= 0
-        pair = [errors(one, edge, edges_mm) for one in (matches, after)]
+        has_edge = edge >= 0
+        pair = [errors(tracks, edge, edges_mm) for tracks in (matches, after)]
         rows.append(np.concatenate(pair, axis=1))
         three = (matches.index >= 0).sum(axis=1) > 2
-        kinds.append(np.stack([own, three, ~three, crosses_often(matches)], axis=1)[own])
-        words += Counter(after.marks["measure"][matches.index >= 0].tolist())
+        kinds.append(np.stack([has_edge, three, ~three, crosses_often(matches)], axis=1)[has_edge])
+        measure_counts += Counter(after.marks["measure"][matches.index >= 0].tolist())
     table, kind = np.concatenate(rows), np.concatenate(kinds)
     limit = chi2.ppf(0.95, 4)
     labels = "all lines", "three views", "two views", "not along rows or columns"
@@ -85,21 +85,21 @@ def of_scenes(name: str, places: list[Place]) -> None:
                 f"{np.mean(part[:, 3] < limit):.3f}",
                 flush=True,
             )
-    print(f"{name:12s} {dict(words)}; {seconds[0]:.2f} + {seconds[1]:.2f} s", flush=True)
+    print(f"{name:12s} {dict(measure_counts)}; {seconds[0]:.2f} + {seconds[1]:.2f} s", flush=True)
 
 
 def main() -> None:
     """Print the figures of the demo and of all folders."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folders", nargs="*", type=Path)
-    given = parser.parse_args()
+    options = parser.parse_args()
     trinoc.io.enable_compile_cache()
     demo = Path(trinoc.synth.__file__).parent / "demo"
-    of_scenes("demo", [_place(demo, table1_rig())])
-    for folder in given.folders:
+    of_scenes("demo", [load_rendered_scene(demo, table1_rig())])
+    for folder in options.folders:
         paths = [path for path in sorted(folder.iterdir()) if (path / "truth.json").exists()]
-        places = [_place(path, load_rig(path / "rig.json")) for path in paths]
-        of_scenes(folder.name, places)
+        scenes = [load_rendered_scene(path, load_rig(path / "rig.json")) for path in paths]
+        of_scenes(folder.name, scenes)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How many mixed-up sets of segments are caught, and how many right ones are accused.
+"""Number of mixed-up sets of segments that are caught, and of right ones that are accused.
 
     python benchmarks/mixed_sets.py [--seeds 4] [--first 21] [--only "right|shifted"] [--data DIR]
 
@@ -51,22 +51,22 @@ HOW = (
 
 
 class Made(NamedTuple):
-    """Segments of a scene, the edge of each, and where edges are, (e, 3)."""
+    """Segments of a scene, their edge numbers, and the edges' middles (e, 3)."""
 
     segments: dict[str, Segments]
     edge: dict[str, np.ndarray]
     middle_mm: np.ndarray
 
     def take(self, view: str, rows: np.ndarray, ends: np.ndarray | None = None) -> None:
-        """Leave some of a view's segments, with other ends where given."""
+        """Keep some of a view's segments, and replace their ends if `ends` is given."""
         ends = np.asarray(self.segments[view].endpoints_px) if ends is None else ends
         self.segments[view] = Segments.from_endpoints(ends[rows])
         self.edge[view] = self.edge[view][rows]
 
 
 class Case(NamedTuple):
-    """A set, its rig, the sigma stated, and the views that are not as their cameras took them;
-    `edge` is that of each segment, None where nobody knows."""
+    """A set, its rig, the stated sigma, and the views that were changed; `edge` is the edge
+    number of each segment, None if unknown."""
 
     segments: dict[str, Segments]
     rig: Rig
@@ -83,7 +83,7 @@ def make_scene(kind: str, seed: int, *, few: bool = False) -> Made:
 
 
 def mix(kind: str, how: str, seed: int) -> Case:
-    """A set of one scene, right or wrong as `how` says in one view or more of them."""
+    """A set of segments of one scene; `how` names the views that are made wrong, if any."""
     made = make_scene(kind, seed, few=how == "right, few")
     first, second = (VIEWS[k] for k in np.random.default_rng(seed).choice(3, 2, replace=False))
     changed: tuple[str, ...] = ()
@@ -116,7 +116,7 @@ def mix(kind: str, how: str, seed: int) -> Case:
 
 
 def photographs(folder: Path) -> Iterator[Case]:
-    """Right sets of photographs: two of a building, and views of a corridor by threes."""
+    """Unchanged sets of photographs: two of a building, and triples of views of a corridor."""
     corridor = [(0, 1, 2), (0, 3, 6), (2, 5, 8), (4, 7, 10), (0, 5, 10), (6, 8, 10), (1, 2, 9)]
     building = [("merton1", (0, 1, 2)), ("merton2", (0, 1, 2))]
     for name, views in (*building, *(("corridor", views) for views in corridor)):
@@ -128,17 +128,21 @@ def photographs(folder: Path) -> Iterator[Case]:
 
 
 def is_wrong(matches: Matches, case: Case) -> np.ndarray:
-    """Of each track; of none where the truth is not known."""
+    """Mask of the wrong tracks; all False if the truth is unknown."""
     if case.edge is None:
         return np.zeros(len(matches), dtype=bool)
-    seen = matches.index >= 0
+    is_member = matches.index >= 0
     edge = np.stack(
-        [case.edge[view][np.maximum(own, 0)] for view, own in zip(VIEWS, matches.index.T)], axis=1
+        [
+            case.edge[view][np.maximum(segments, 0)]
+            for view, segments in zip(VIEWS, matches.index.T)
+        ],
+        axis=1,
     )
-    one = edge[np.arange(len(edge)), seen.argmax(axis=1)]
-    other = (edge != one[:, None]) & seen
-    touched = seen & np.isin(VIEWS, case.changed)
-    return (one < 0) | other.any(axis=1) | touched.any(axis=1)
+    first_edge = edge[np.arange(len(edge)), is_member.argmax(axis=1)]
+    differs = (edge != first_edge[:, None]) & is_member
+    touched = is_member & np.isin(VIEWS, case.changed)
+    return (first_edge < 0) | differs.any(axis=1) | touched.any(axis=1)
 
 
 def main() -> None:
@@ -158,11 +162,11 @@ def main() -> None:
     for how in [how for how in cases if re.search(options.only, how)]:
         suspect, named, sure, wrong, taken, alone, sets = 0, 0, 0, 0, 0.0, 0.0, 0
         for case in cases[how]:
-            given = case.segments, case.rig
+            inputs = case.segments, case.rig
             begin = time.process_time()
-            match_segments(*given, sigma_px=case.sigma_px, verify="off")
+            match_segments(*inputs, sigma_px=case.sigma_px, verify="off")
             middle = time.process_time()
-            matches = match_segments(*given, sigma_px=case.sigma_px)
+            matches = match_segments(*inputs, sigma_px=case.sigma_px)
             taken, alone = taken + time.process_time() - middle, alone + middle - begin
             is_suspect = matches.status is MatchStatus.SUSPECT
             suspect, sets = suspect + is_suspect, sets + 1

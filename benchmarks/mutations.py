@@ -1,4 +1,4 @@
-"""Do the tests notice when a covariance, a prior or a weight is wrong?
+"""Test that the tests fail if a covariance, a prior or a weight is wrong.
 
     python benchmarks/mutations.py [--only WORD ...] [--jobs 2]
 
@@ -35,7 +35,7 @@ COPIED = (
 
 
 class Mutation(NamedTuple):
-    """A place and what stands there instead.
+    """A text of a file and its wrong replacement.
 
     Fields
     ------
@@ -51,14 +51,14 @@ class Mutation(NamedTuple):
 
 
 def places() -> list[Mutation]:
-    """All that are listed."""
+    """All listed mutations."""
     with (HERE / "mutations.toml").open("rb") as file:
         listed = tomllib.load(file)["mutation"]
-    return [Mutation(**each) for each in listed]
+    return [Mutation(**entry) for entry in listed]
 
 
 class Outcome(NamedTuple):
-    """How the tests of a place ended.
+    """Result of the tests of one mutation.
 
     Fields
     ------
@@ -72,9 +72,9 @@ class Outcome(NamedTuple):
 def run_tests(
     copy: Path, tests: Sequence[str], limit_s: float | None = LIMIT_S, jobs: int = 0
 ) -> Outcome:
-    """Pytest in a copy of the checkout, which stops at the first failure."""
+    """Run pytest in a copy of the checkout, up to the first failure."""
     command = [sys.executable, "-m", "pytest", "-x", "-q", f"-n{jobs}", "-p", "no:cacheprovider"]
-    command += ["-m", "not slow", *(f"tests/{each}" for each in tests)]
+    command += ["-m", "not slow", *(f"tests/{path}" for path in tests)]
     environment = {
         **os.environ,
         "PYTHONPATH": str(copy),
@@ -121,10 +121,11 @@ def main() -> int:
     parser.add_argument("--only", nargs="*", default=[], help="words of files or descriptions")
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
-    chosen = [
-        each
-        for each in places()
-        if not options.only or any(word in f"{each.file} {each.what}" for word in options.only)
+    mutations = [
+        mutation
+        for mutation in places()
+        if not options.only
+        or any(word in f"{mutation.file} {mutation.what}" for word in options.only)
     ]
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(options.jobs) as pool:
         copies = [Path(folder) / str(k) for k in range(options.jobs)]
@@ -133,19 +134,19 @@ def main() -> int:
             for name in COPIED:
                 source = CHECKOUT / name
                 (shutil.copytree if source.is_dir() else shutil.copy)(source, copy / name)
-        nearest = sorted({test for each in chosen for test in each.tests})
+        nearest = sorted({test for mutation in mutations for test in mutation.tests})
         if run_tests(copies[0], nearest, None, options.jobs).status:
             print("The tests fail without any mutation: mend them first.")
             return 1
         ends = []
-        outcomes = pool.map(lambda m: outcome(m, copies), chosen)
-        for each, (end, noticed) in zip(chosen, outcomes, strict=True):
-            print(f"{end:9} {each.file:42} {each.what}: {noticed}", flush=True)
+        outcomes = pool.map(lambda m: outcome(m, copies), mutations)
+        for mutation, (end, noticed) in zip(mutations, outcomes, strict=True):
+            print(f"{end:9} {mutation.file:42} {mutation.what}: {noticed}", flush=True)
             ends.append(end)
-    wrong = [each for each, end in zip(chosen, ends, strict=True) if end != "caught"]
-    print(f"\n{len(chosen)} places, {len(wrong)} not caught")
-    for each in wrong:
-        print(f"  {each.file}: {each.what}")
+    wrong = [mutation for mutation, end in zip(mutations, ends, strict=True) if end != "caught"]
+    print(f"\n{len(mutations)} places, {len(wrong)} not caught")
+    for mutation in wrong:
+        print(f"  {mutation.file}: {mutation.what}")
     return 1 if wrong else 0
 
 

@@ -1,4 +1,4 @@
-"""Do other tools project the same points to the same pixels from the files that trinoc writes?
+"""Difference in pixels between trinoc and other tools that read the files of trinoc.
 
     python benchmarks/other_tools_files.py [--mrcal-python /usr/bin/python3]
 
@@ -45,7 +45,7 @@ for name in sys.argv[1:]:
 
 
 def main() -> int:
-    """Print a row for each reader, and say whether all agree."""
+    """Print a row for each reader. Returns 0 if all agree."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rigs", type=int, default=20, help="random rigs of three cameras")
     parser.add_argument("--mrcal-python", help="an interpreter that has mrcal")
@@ -80,7 +80,9 @@ def main() -> int:
     print("| file, reader | largest difference (px) |\n|---|---|")
     for name, difference in worst.items():
         print(f"| {name} | {difference:.1e} |")
-    agree = (found <= (AGAIN_PX if name == AGAIN else AGREES_PX) for name, found in worst.items())
+    agree = (
+        largest <= (AGAIN_PX if name == AGAIN else AGREES_PX) for name, largest in worst.items()
+    )
     return 0 if all(agree) else 1
 
 
@@ -106,12 +108,12 @@ def random_rig(random: np.random.Generator) -> Rig:
 
 
 def pixels(camera: Camera) -> np.ndarray:
-    """Where trinoc images the points."""
+    """Pixels at which trinoc images the points."""
     return np.asarray(jax.vmap(project, (None, 0))(camera, POINTS_MM))
 
 
 def by_cv2(rig: Rig, path: Path) -> float:
-    """OpenCV reads the rig."""
+    """Largest difference in pixels of OpenCV, which reads the rig."""
     FORMATS["opencv"].save(rig, path)
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     cameras = storage.getNode("cameras")
@@ -120,29 +122,29 @@ def by_cv2(rig: Rig, path: Path) -> float:
         node = cameras.at(number)
         keys = ("R", "T", "camera_matrix", "distortion_coefficients")
         rotation, translation, matrix, distortion = (node.getNode(key).mat() for key in keys)
-        seen = POINTS_MM @ rotation.T + translation.ravel()
-        found, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), matrix, distortion)
-        differences.append(np.abs(found.reshape(-1, 2) - pixels(camera)).max())
+        in_camera = POINTS_MM @ rotation.T + translation.ravel()
+        images, _ = cv2.projectPoints(in_camera, np.zeros(3), np.zeros(3), matrix, distortion)
+        differences.append(np.abs(images.reshape(-1, 2) - pixels(camera)).max())
     return max(differences)
 
 
 def by_pycolmap(rig: Rig, path: Path, name: str) -> float:
-    """COLMAP reads the model, with its rig and frame."""
+    """Largest difference in pixels of COLMAP, which reads the model with its rig and frame."""
     import pycolmap
 
     FORMATS[name].save(rig, path)
     model = pycolmap.Reconstruction(str(path))
     differences = []
-    for own, camera in rig.items():
-        image = model.find_image_with_name(own)
+    for camera_name, camera in rig.items():
+        image = model.find_image_with_name(camera_name)
         pose = image.cam_from_world().matrix()
-        found = model.cameras[image.camera_id].img_from_cam(POINTS_MM @ pose[:, :3].T + pose[:, 3])
-        differences.append(np.abs(np.asarray(found) - 0.5 - pixels(camera)).max())
+        images = model.cameras[image.camera_id].img_from_cam(POINTS_MM @ pose[:, :3].T + pose[:, 3])
+        differences.append(np.abs(np.asarray(images) - 0.5 - pixels(camera)).max())
     return max(differences)
 
 
 def fisheyes(rig: Rig) -> Rig:
-    """The same cameras with Kannala and Brandt's lens."""
+    """The same cameras with the Kannala-Brandt lens model."""
     cameras = {}
     for number, (name, camera) in enumerate(rig.items()):
         lens = Intrinsics(
@@ -157,7 +159,7 @@ def fisheyes(rig: Rig) -> Rig:
 
 
 def by_aniposelib(rig: Rig, path: Path) -> float:
-    """aniposelib reads the cameras, and writes them again beside."""
+    """Largest difference in pixels of aniposelib, which reads the cameras and rewrites them."""
     from aniposelib.cameras import CameraGroup
 
     FORMATS["anipose"].save(rig, path)
@@ -173,27 +175,27 @@ def by_aniposelib(rig: Rig, path: Path) -> float:
 
 
 def anipose_again(rig: Rig, path: Path) -> float:
-    """trinoc reads what aniposelib wrote."""
+    """Largest difference in pixels after trinoc reads the file that aniposelib wrote."""
     back = FORMATS["anipose"].load(path.with_name(f"again_{path.name}"))
     return max(np.abs(pixels(back[name]) - pixels(camera)).max() for name, camera in rig.items())
 
 
 def by_mrcal(rig: Rig, path: Path, python: str) -> float:
-    """mrcal reads the models."""
+    """Largest difference in pixels of mrcal, which reads the models."""
     FORMATS["mrcal"].save(rig, path)
     files = [str(path / f"{name}.cameramodel") for name in rig]
     points = json.dumps(POINTS_MM.tolist())
     done = subprocess.run(
         [python, "-c", MRCAL, *files], input=points, capture_output=True, text=True, check=True
     )
-    found = [np.array(json.loads(line)) for line in done.stdout.splitlines()]
+    images = [np.array(json.loads(line)) for line in done.stdout.splitlines()]
     return max(
-        np.abs(uv - pixels(camera)).max() for uv, camera in zip(found, rig.cameras, strict=True)
+        np.abs(uv - pixels(camera)).max() for uv, camera in zip(images, rig.cameras, strict=True)
     )
 
 
 def again(rig: Rig, path: Path) -> float:
-    """trinoc reads what mrcal wrote, to the digits that mrcal writes."""
+    """Largest difference in pixels after trinoc reads the files that mrcal wrote."""
     back = FORMATS["mrcal"].load(path)
     return max(np.abs(pixels(back[name]) - pixels(camera)).max() for name, camera in rig.items())
 

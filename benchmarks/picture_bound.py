@@ -21,7 +21,7 @@ _BLUR_STEP_PX, _SPREAD_STEP_MM, _INK_STEP = 0.05, 0.02, 5.0
 
 @dataclass(frozen=True)
 class Scene:
-    """What a picture shows: values are pan, tilt, swing in degrees, distance, aim X, Y in mm."""
+    """Scene of a picture: values are pan, tilt, swing in degrees, distance, aim X, Y in mm."""
 
     pattern: Pattern
     lens: Intrinsics
@@ -56,7 +56,7 @@ class Scene:
         )
 
     def spread(self, step_mm: float) -> "Scene":
-        """The same with ink that reaches further by `step_mm`."""
+        """The scene with all ink grown by `step_mm`."""
         pattern = self.pattern
         hole = np.where(pattern.inner_radius_mm > 0, pattern.inner_radius_mm - step_mm, 0.0)
         half_length = tuple(half + step_mm for half in pattern.line_half_length_mm)
@@ -79,12 +79,12 @@ def bound_of_image(
     noise_sigma: float,
     parameter_count: int,
     *,
-    seen: np.ndarray | None = None,
+    pixel_mask: np.ndarray | None = None,
     supersampling: int = 8,
 ) -> np.ndarray:
     """(p,) least standard deviations of the first p values for an unbiased estimate.
 
-    seen : (h, w) pixels that count; all without it.
+    pixel_mask : (h, w) pixels that count; all if None.
     """
 
     def slope(first: Scene, second: Scene, step: float) -> np.ndarray:
@@ -107,8 +107,8 @@ def bound_of_image(
     height, width = picture.shape
     y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
     columns += [picture * term for term in (np.ones_like(x), x, y, x * x, x * y, y * y)]
-    chosen = np.ones(picture.shape, dtype=bool) if seen is None else seen
-    jacobian = np.stack([column[chosen] for column in columns], axis=1) / noise_sigma
+    mask = np.ones(picture.shape, dtype=bool) if pixel_mask is None else pixel_mask
+    jacobian = np.stack([column[mask] for column in columns], axis=1) / noise_sigma
     scale = np.linalg.norm(jacobian, axis=0)
     covariance = np.linalg.inv((jacobian / scale).T @ (jacobian / scale))
     return (np.sqrt(np.diag(covariance)) / scale)[:parameter_count]

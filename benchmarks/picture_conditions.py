@@ -1,4 +1,4 @@
-"""The table of named conditions: pictures that cameras deliver, and what can be wrong with them.
+"""Named conditions: pictures as cameras deliver them, and errors of the calibration's input.
 
 The reference is an industrial camera over a flat sheet: paper at 230 and ink at 24 grey levels
 of 8 bits, linear, blur 0.7 px, noise 2 grey levels. Every other row changes what its name says.
@@ -41,7 +41,7 @@ class SheetGrid(NamedTuple):
 
 
 class LensError(eqx.Module):
-    """How the lens differs from what is said of it.
+    """Difference of the true lens from the stated one.
 
     Fields
     ------
@@ -54,19 +54,19 @@ class LensError(eqx.Module):
     aspect: float = 0.0
     principal_point_px: tuple[float, float] = (0.0, 0.0)
 
-    def of(self, said: Intrinsics) -> Intrinsics:
-        """The lens as it is."""
+    def of(self, stated: Intrinsics) -> Intrinsics:
+        """The true lens."""
         stretch = (1 + self.focal_length) * np.array([1.0, 1 + self.aspect])
         return Intrinsics(
-            focal_length_px=np.asarray(said.focal_length_px) * stretch,
-            principal_point_px=np.asarray(said.principal_point_px) + self.principal_point_px,
-            distortion=None if said.distortion_model == "none" else np.asarray(said.distortion),
-            image_size_px=said.image_size_px,
+            focal_length_px=np.asarray(stated.focal_length_px) * stretch,
+            principal_point_px=np.asarray(stated.principal_point_px) + self.principal_point_px,
+            distortion=None if stated.distortion_model == "none" else np.asarray(stated.distortion),
+            image_size_px=stated.image_size_px,
         )
 
 
 class Told(NamedTuple):
-    """What the calibration is told.
+    """Input of the calibration besides pattern and lens.
 
     Fields
     ------
@@ -85,7 +85,7 @@ class Told(NamedTuple):
 
 
 class Case(Condition):
-    """A picture, and what the calibration is told of it.
+    """A picture, and the input of its calibration.
 
     Fields
     ------
@@ -109,7 +109,7 @@ class Case(Condition):
     told: Told = Told()
 
     def said_lens(self, ideal: Intrinsics) -> Intrinsics:
-        """An ideal lens with the length and the distortion that everybody knows of."""
+        """The stated lens: an ideal one with the known focal length and distortion."""
         return Intrinsics(
             focal_length_px=self.focal_scale * np.asarray(ideal.focal_length_px),
             principal_point_px=np.asarray(ideal.principal_point_px),
@@ -118,7 +118,7 @@ class Case(Condition):
         )
 
     def camera(self, ideal: Intrinsics, pose: tuple[float, float, float, float]) -> Camera:
-        """The camera at (pan, tilt, swing in degrees, distance in mm), as it is."""
+        """The true camera at (pan, tilt, swing in degrees, distance in mm)."""
         pan, tilt, swing, distance = pose
         return Camera.from_degrees(
             self.lens_error.of(self.said_lens(ideal)),
@@ -147,18 +147,18 @@ def _bent(surface: Surface) -> Case:
 
 
 def _rolled(sagitta_mm: float) -> Case:
-    """Bent along no side of the sheet, as rolled paper seldom is."""
+    """Paper rolled about an axis that is parallel to no side of the sheet."""
     return _bent(RolledPaper.from_sagitta(sagitta_mm, direction_deg=30.0))
 
 
 def _misread(parameters: int = 4, **error: Any) -> Case:
-    """A lens that only its data sheet describes, and that is another."""
-    told = _DATA_SHEET._replace(parameters=parameters)
-    return Case(lens_error=LensError(**error), told=told)
+    """A lens known from its data sheet only, which is wrong by `error`."""
+    settings = _DATA_SHEET._replace(parameters=parameters)
+    return Case(lens_error=LensError(**error), told=settings)
 
 
 def _off(length: float) -> tuple[float, float]:
-    """A displacement of this length, in no special direction."""
+    """A displacement of this length, in a direction that is not special."""
     return (0.6 * length, 0.8 * length)
 
 

@@ -1,4 +1,4 @@
-"""Scenes and cameras as POV-Ray text, and pictures back from POV-Ray (Debian package povray).
+"""Scenes and cameras as POV-Ray text, and their rendering by POV-Ray (Debian package povray).
 
 POV-Ray's image plane is spanned by vectors, so that the camera of a trinoc rig is given to it
 without any angle: rays of pixel (u, v) of a W x H picture run along
@@ -110,8 +110,8 @@ def sheet_text(
     for centre, radius, inner in zip(
         pattern.centres_mm, pattern.radius_mm, pattern.inner_radius_mm, strict=True
     ):
-        place = _vector((*centre, 1e-6))
-        parts.append(f"disc {{ {place}, z, {radius:.9f}, {inner:.9f} {_matt(ink, 0.0)} }}\n")
+        centre_text = _vector((*centre, 1e-6))
+        parts.append(f"disc {{ {centre_text}, z, {radius:.9f}, {inner:.9f} {_matt(ink, 0.0)} }}\n")
     return "".join(parts)
 
 

@@ -1,4 +1,4 @@
-"""Which programs a command compiles: how often, how large, how long.
+"""Programs that a command compiles: their number, size and time.
 
     python benchmarks/programs.py [--programs 30] [--operations 56000] [-- COMMAND ARGUMENT ...]
 
@@ -48,24 +48,24 @@ STAGES = {
 }
 
 
-def run_command(words: list[str], folder: Path, environment: dict[str, str]) -> dict:
-    """What one fresh process told."""
-    told = folder / "told.json"
+def run_command(arguments: list[str], folder: Path, environment: dict[str, str]) -> dict:
+    """Report of one fresh process."""
+    report_file = folder / "told.json"
     done = subprocess.run(
-        [sys.executable, "-c", CHILD, str(told), *words],
+        [sys.executable, "-c", CHILD, str(report_file), *arguments],
         env=os.environ | environment,
         cwd=folder,
         capture_output=True,
         text=True,
         check=False,
     )
-    if done.returncode or not told.exists():
+    if done.returncode or not report_file.exists():
         sys.exit(done.stderr)
-    return json.loads(told.read_text())
+    return json.loads(report_file.read_text())
 
 
 def plain_name(name: str) -> str:
-    """A program's name without `jit` and the token that sets equal names apart."""
+    """A program's name without `jit` and the token that distinguishes equal names."""
     name = re.sub(r"^jit[_(](.*?)\)?$", r"\1", name)
     return re.sub(r"_[0-9a-f]{8}$", "", name)
 
@@ -75,8 +75,8 @@ def operations(dump: Path) -> tuple[Counter[str], Counter[str]]:
     compiled: Counter[str] = Counter()
     size: Counter[str] = Counter()
     for file in sorted(dump.glob("*.mlir")):
-        found = re.match(r"jax_ir\d+_(.*)_compile", file.stem)
-        name = plain_name(found[1] if found else file.stem)
+        match = re.match(r"jax_ir\d+_(.*)_compile", file.stem)
+        name = plain_name(match[1] if match else file.stem)
         compiled[name] += 1
         size[name] += file.read_text().count(" = ")
     return compiled, size
@@ -88,15 +88,15 @@ def main() -> None:
     parser.add_argument("--operations", type=int, default=56_000)
     parser.add_argument("--rows", type=int, default=25)
     parser.add_argument("command", nargs="*", default=list(COMMAND))
-    given = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         cache, dump = {"TRINOC_COMPILE_CACHE": str(folder / "cache")}, folder / "programs"
-        first = run_command(given.command, folder, cache)
-        again = run_command(given.command, folder, cache)
+        first = run_command(options.command, folder, cache)
+        second_run = run_command(options.command, folder, cache)
         # What is written is not taken from the cache.
         off = {"TRINOC_COMPILE_CACHE": "off", "JAX_DUMP_IR_TO": str(dump)}
-        run_command(given.command, folder, off)
+        run_command(options.command, folder, off)
         compiled, size = operations(dump)
     seconds: dict[str, dict[str, float]] = defaultdict(lambda: dict.fromkeys(STAGES.values(), 0.0))
     for key, value in first["seconds"].items():
@@ -104,19 +104,19 @@ def main() -> None:
         if event in STAGES:
             seconds[plain_name(name)][STAGES[event]] += value
     print(f"{'program':34s} {'times':>5s} {'operations':>10s}  trace  lower compile (s)")
-    for name, count in size.most_common(given.rows):
+    for name, count in size.most_common(options.rows):
         row = " ".join(f"{value:6.2f}" for value in seconds[name].values())
         print(f"{name:34.34s} {compiled[name]:5d} {count:10d} {row}")
-    total = {stage: sum(each[stage] for each in seconds.values()) for stage in STAGES.values()}
+    total = {stage: sum(times[stage] for times in seconds.values()) for stage in STAGES.values()}
     row = " ".join(f"{value:6.2f}" for value in total.values())
     print(f"{'all':34s} {compiled.total():5d} {size.total():10d} {row}")
-    for words, told in (("empty cache", first), ("again", again)):
+    for label, report in (("empty cache", first), ("again", second_run)):
         print(
-            f"{words:12s} status {told['status']}  processor {told['processor']:.1f} s  "
-            f"clock {told['clock']:.1f} s  memory {told['mib']:.0f} MiB"
+            f"{label:12s} status {report['status']}  processor {report['processor']:.1f} s  "
+            f"clock {report['clock']:.1f} s  memory {report['mib']:.0f} MiB"
         )
-    if compiled.total() > given.programs or size.total() > given.operations:
-        sys.exit(f"More than {given.programs} programs or {given.operations} operations.")
+    if compiled.total() > options.programs or size.total() > options.operations:
+        sys.exit(f"More than {options.programs} programs or {options.operations} operations.")
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ COLUMNS = (
 
 
 def by_trinoc(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
-    """What the command line gives; of cameras that were not taken at one moment, each by itself."""
+    """Result of the command line. Cameras not taken at one moment are calibrated singly."""
     if entry.get("one_moment", True):
         return _calibrate(folder, entry)
     answers = [_calibrate(folder, {**entry, "cameras": [name]}) for name in entry["cameras"]]
@@ -47,9 +47,9 @@ def by_trinoc(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
         return next(answer for answer in answers if "focal" not in answer)
     merged = dict(max(good, key=lambda answer: max(answer["sigma_factor"].values())))
     for key in ("rms_px", "sigma_factor", "focal", "failures"):
-        merged[key] = {name: value for each in good for name, value in each[key].items()}
+        merged[key] = {name: value for answer in good for name, value in answer[key].items()}
     for key in ("found", "images"):
-        merged[key] = sum(each[key] for each in good)
+        merged[key] = sum(answer[key] for answer in good)
     return merged
 
 
@@ -67,12 +67,12 @@ def _calibrate(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
     enable_compile_cache()
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch, "rig.json")
-        places = {camera: folder / camera for camera in entry["cameras"]}
+        folders = {camera: folder / camera for camera in entry["cameras"]}
         choices = {"lens_model": entry.get("lens_model", "default")}
         job = Job(quiet=True, command_line="benchmark")
         try:
             result, outcome = calibrate_shots(
-                places, (folder / "board.json",), (), {}, choices, None, out, job
+                folders, (folder / "board.json",), (), {}, choices, None, out, job
             )
         except TrinocError as error:
             return {"status": "refused", "error": str(error)}
@@ -87,11 +87,11 @@ def _calibrate(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
             readable = str(error)
     squares, weights = [], []
     for view, errors in zip(result.views, result.residuals_px, strict=True):
-        kept = view.rows_used
+        is_used = view.rows_used
         variance = np.trace(view.detection.covariance_px2, axis1=1, axis2=2)
         variance = variance * getattr(view, "sigma_ratio", 1.0) ** 2
-        squares.append(np.sum(errors**2, axis=1)[kept] / variance[kept])
-        weights.append(1 / variance[kept])
+        squares.append(np.sum(errors**2, axis=1)[is_used] / variance[is_used])
+        weights.append(1 / variance[is_used])
     held_out, halves = result.cross_validation, result.halves
     focal = {
         camera: [result.value(f"{camera}.{axis}_px") for axis in ("fx", "fy")]
@@ -126,7 +126,7 @@ def _calibrate(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
 
 
 def detect_by_opencv(files: list[Path], board: Any) -> dict[str, Any]:
-    """For each file's name (board places (m, 3), pixels (m, 2)), by the search that people copy."""
+    """Board points (m, 3) and pixels (m, 2) by file name, by OpenCV's usual search."""
     import cv2
     import numpy as np
 
@@ -153,31 +153,31 @@ def detect_by_opencv(files: list[Path], board: Any) -> dict[str, Any]:
             plain = 255 - grey if board.inverted else grey
             uv, index, *_ = cv2.aruco.CharucoDetector(charuco).detectBoard(plain)
             if index is not None and len(index) >= 6:
-                places = np.asarray(charuco.getChessboardCorners())[index.ravel()]
-                corners[file.name] = places, uv.reshape(-1, 2)
+                board_points = np.asarray(charuco.getChessboardCorners())[index.ravel()]
+                corners[file.name] = board_points, uv.reshape(-1, 2)
             continue
-        places = np.pad(np.asarray(board.centres_mm), ((0, 0), (0, 1))).astype(np.float32)
+        board_points = np.pad(np.asarray(board.centres_mm), ((0, 0), (0, 1))).astype(np.float32)
         if isinstance(board, Chessboard):
             size = (board.columns, board.rows)
-            found, uv = cv2.findChessboardCornersSB(grey, size)
-            if not found:
-                found, uv = cv2.findChessboardCorners(grey, size)
-                if found:
+            is_found, uv = cv2.findChessboardCornersSB(grey, size)
+            if not is_found:
+                is_found, uv = cv2.findChessboardCorners(grey, size)
+                if is_found:
                     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
                     uv = cv2.cornerSubPix(grey, uv, (5, 5), (-1, -1), criteria)
         else:
-            rows = len(np.unique(np.round(places[:, 1], 6)))
-            size = (len(places) // rows, rows)
-            found, uv = cv2.findCirclesGrid(grey, size, flags=cv2.CALIB_CB_SYMMETRIC_GRID)
-        if found and len(uv) == len(places):
-            corners[file.name] = places, uv.reshape(-1, 2)
+            rows = len(np.unique(np.round(board_points[:, 1], 6)))
+            size = (len(board_points) // rows, rows)
+            is_found, uv = cv2.findCirclesGrid(grey, size, flags=cv2.CALIB_CB_SYMMETRIC_GRID)
+        if is_found and len(uv) == len(board_points):
+            corners[file.name] = board_points, uv.reshape(-1, 2)
     return {
         name: (p.astype(np.float32), uv.astype(np.float32)) for name, (p, uv) in corners.items()
     }
 
 
 def by_opencv(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
-    """Each camera by itself: detection, calibrateCamera, shots that were held out; and mrcal."""
+    """Calibrate each camera singly by OpenCV and mrcal, with errors of held-out shots."""
     import cv2
     import numpy as np
 
@@ -187,16 +187,16 @@ def by_opencv(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
     fisheye = entry.get("lens_model") == "kannala_brandt"
     total: dict[str, Any] = {"found": 0, "detect_s": 0.0, "fit_s": 0.0}
 
-    def held_out(seen: list[Any], fit: Any) -> float | None:
+    def held_out(shots: list[Any], fit: Any) -> float | None:
         errors = []
         for first in (0, 1):
-            lens = fit(seen[first::2])
+            lens = fit(shots[first::2])
             if lens is None:
                 return None
-            for places, uv in seen[1 - first :: 2]:
-                _, turn, shift = cv2.solvePnP(places, uv, *lens)
-                turn, shift = cv2.solvePnPRefineLM(places, uv, *lens, turn, shift)
-                image, _ = cv2.projectPoints(places, turn, shift, *lens)
+            for board_points, uv in shots[1 - first :: 2]:
+                _, turn, shift = cv2.solvePnP(board_points, uv, *lens)
+                turn, shift = cv2.solvePnPRefineLM(board_points, uv, *lens, turn, shift)
+                image, _ = cv2.projectPoints(board_points, turn, shift, *lens)
                 errors.append(image.reshape(-1, 2) - uv)
         return float(np.sqrt(np.mean(np.sum(np.concatenate(errors) ** 2, axis=1))))
 
@@ -207,24 +207,24 @@ def by_opencv(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
         total["detect_s"] += time.process_time() - start
         total["found"] += len(corners)
         sizes = {file.name: _size(file) for file in files if file.name in corners}
-        most = max(set(sizes.values()), key=list(sizes.values()).count, default=None)
-        seen = [each for name, each in corners.items() if sizes[name] == most]
-        if len(seen) < 4 or fisheye:
+        image_size = max(set(sizes.values()), key=list(sizes.values()).count, default=None)
+        shots = [pair for name, pair in corners.items() if sizes[name] == image_size]
+        if len(shots) < 4 or fisheye:
             continue
 
-        def fit(some: list[Any], most: Any = most) -> Any:
-            places, uv = zip(*some, strict=True)
+        def fit(some: list[Any], image_size: Any = image_size) -> Any:
+            board_points, uv = zip(*some, strict=True)
             try:
-                _, matrix, bend, *_ = cv2.calibrateCamera(places, uv, most, None, None)
+                _, matrix, bend, *_ = cv2.calibrateCamera(board_points, uv, image_size, None, None)
             except cv2.error:
                 return None
             return matrix, bend
 
         start = time.process_time()
-        places, uv = zip(*seen, strict=True)
+        board_points, uv = zip(*shots, strict=True)
         try:
             rms, matrix, _, _, _, sigma, *_ = cv2.calibrateCameraExtended(
-                places, uv, most, None, None
+                board_points, uv, image_size, None, None
             )
         except cv2.error as error:
             answer[camera] = {"error": str(error)}
@@ -233,9 +233,9 @@ def by_opencv(folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
         answer[camera] = {
             "rms_px": rms,
             "focal": [matrix[0, 0], matrix[1, 1], *sigma.ravel()[:2].tolist()],
-            "held_out_px": held_out(seen, fit),
+            "held_out_px": held_out(shots, fit),
         }
-        mrcal = _by_mrcal(board, seen, most, matrix, held_out)
+        mrcal = _by_mrcal(board, shots, image_size, matrix, held_out)
         if mrcal:
             answer[camera]["mrcal_held_out_px"], answer[camera]["mrcal_s"] = mrcal
     return {**total, "cameras": answer}
@@ -248,7 +248,7 @@ def _size(file: Path) -> tuple[int, int]:
 
 
 def _by_mrcal(
-    board: Any, seen: list[Any], size: tuple[int, int], matrix: Any, held_out: Any
+    board: Any, shots: list[Any], size: tuple[int, int], matrix: Any, held_out: Any
 ) -> tuple[float | None, float] | None:
     import shutil
 
@@ -268,19 +268,19 @@ def _by_mrcal(
     def fit(some: list[Any]) -> Any:
         options = ("--focal", str(float(matrix[0, 0])))
         try:
-            found = {"cam": [Corners(uv) for _, uv in some]}
-            models, spent = calibrate_by_mrcal(board, found, size, 5, options)  # pyright: ignore
+            detections = {"cam": [Corners(uv) for _, uv in some]}
+            models, spent = calibrate_by_mrcal(board, detections, size, 5, options)  # pyright: ignore
         except SystemExit:
             return None
         seconds.append(spent)
         fx, fy, cx, cy, *bend = models["cam"]["intrinsics"]
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), np.array(bend)
 
-    return held_out(seen, fit), float(np.mean(seconds or [np.nan]))
+    return held_out(shots, fit), float(np.mean(seconds or [np.nan]))
 
 
 def run_worker(project: Path, mode: str, folder: Path, entry: dict[str, Any]) -> dict[str, Any]:
-    """One set in a process of its own; with its processor time, memory and stderr."""
+    """Run one set in its own process. The result has its processor time, memory and stderr."""
     environment = {"OPENBLAS_NUM_THREADS": "1", **os.environ, "PYTHONPATH": str(project)}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryFile() as errors:
@@ -307,7 +307,7 @@ def run_worker(project: Path, mode: str, folder: Path, entry: dict[str, Any]) ->
 
 
 def worker(folder: Path, mode: str) -> None:
-    """The side of the process of one set."""
+    """Calibrate one set in the child process, and write the result to standard output."""
     entry = json.loads(sys.stdin.read())
     answer = (by_trinoc if mode == "trinoc" else by_opencv)(folder, entry)
     answer["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
@@ -321,29 +321,32 @@ def row(name: str, ours: dict[str, Any], theirs: dict[str, Any]) -> list[str]:
         return "-" if value is None or value != value else f"{value:.{digits}f}"
 
     cameras = theirs.get("cameras", {})
-    far = []
-    for camera, own in ours.get("focal", {}).items():
-        other = cameras.get(camera, {}).get("focal")
-        if other is None:
+    deviations = []
+    for camera, our_focal in ours.get("focal", {}).items():
+        their_focal = cameras.get(camera, {}).get("focal")
+        if their_focal is None:
             continue
         for k in (0, 1):
-            far.append((own[k] - other[k]) / (own[k + 2] ** 2 + other[k + 2] ** 2) ** 0.5)
-    held = [c["held_out_px"] for c in cameras.values() if c.get("held_out_px")]
+            deviations.append(
+                (our_focal[k] - their_focal[k])
+                / (our_focal[k + 2] ** 2 + their_focal[k + 2] ** 2) ** 0.5
+            )
+    held_out_px = [c["held_out_px"] for c in cameras.values() if c.get("held_out_px")]
     mrcal = [c["mrcal_held_out_px"] for c in cameras.values() if c.get("mrcal_held_out_px")]
     spent = [c["mrcal_s"] for c in cameras.values() if c.get("mrcal_s")]
-    own_held = ours.get("held_out_px")
+    our_held_out_px = ours.get("held_out_px")
     return [
         name,
         f"{ours.get('found', 0)}/{ours.get('images', '?')}",
         str(theirs.get("found", "-")),
         ours["status"] + ("" if not ours.get("readable") else ", NOT READABLE"),
         number(ours.get("weighted_rms_px")),
-        number(own_held[0] if own_held else None),
-        number(max(held, default=None)),
+        number(our_held_out_px[0] if our_held_out_px else None),
+        number(max(held_out_px, default=None)),
         number(max(mrcal, default=None)),
         number(max(ours.get("sigma_factor", {}).values(), default=None), 2),
         number(ours.get("halves"), 2),
-        number(max(far, key=abs, default=None), 1),
+        number(max(deviations, key=abs, default=None), 1),
         number(ours.get("cpu_s"), 1),
         number(ours.get("peak_mb"), 0),
         number(theirs.get("detect_s"), 1),
@@ -370,9 +373,9 @@ def main() -> None:
     print("\t".join(COLUMNS), flush=True)
     for entry in entries:
         name = entry["name"]
-        chosen = name in options.only if options.only else entry["aside"] == options.aside
+        is_wanted = name in options.only if options.only else entry["aside"] == options.aside
         folder = options.folder / name
-        if not chosen:
+        if not is_wanted:
             continue
         if "board" not in entry:
             print(f"{name}\tno layout of trinoc describes its board", flush=True)

@@ -48,12 +48,12 @@ def shots_of_pattern(pattern: str, paths: list[str]) -> dict[str, str]:
     parts = [re.escape(part) for part in pattern.split("*")]
     expression = re.compile("([^/]*)".join(parts))
     matches = (expression.fullmatch(path) for path in paths)
-    shots = {"_".join(filter(None, each.groups())): each.string for each in matches if each}
+    shots = {"_".join(filter(None, match.groups())): match.string for match in matches if match}
     return dict(sorted(shots.items(), key=lambda shot: in_reading_order(shot[0])))
 
 
 def in_reading_order(name: str) -> list[tuple[int, str]]:
-    """Key by which 2 sorts before 10."""
+    """Sort key of a name by which 2 comes before 10."""
     parts = re.split(r"(\d+)", name)
     return [(int(part or 0), "") if part.isdigit() else (0, part) for part in parts]
 
@@ -72,8 +72,8 @@ def chosen_shots(cameras: dict[str, dict[str, str]], *, one_moment: bool) -> dic
     counts = Counter(name for shots in cameras.values() for name in shots)
     common = [name for name, count in counts.items() if count > 1]
     if common and one_moment:
-        chosen = even_choice(sorted(common, key=in_reading_order))
-        return dict.fromkeys(cameras, chosen)
+        selection = even_choice(sorted(common, key=in_reading_order))
+        return dict.fromkeys(cameras, selection)
     return {camera: even_choice(list(shots)) for camera, shots in cameras.items()}
 
 
@@ -102,11 +102,11 @@ def board_document(values: dict[str, Any], name: str) -> Any:
 
 def collect(entry: dict[str, Any], clones: Path, folder: Path, shared: Path | None) -> None:
     """Write the images and the board of one set."""
-    own = folder / entry["name"]
-    own.mkdir(parents=True, exist_ok=True)
+    set_folder = folder / entry["name"]
+    set_folder.mkdir(parents=True, exist_ok=True)
     if "board" in entry:
-        save_target(board_document(entry["board"], entry["name"]), own / "board.json")
-        load_target(own / "board.json")
+        save_target(board_document(entry["board"], entry["name"]), set_folder / "board.json")
+        load_target(set_folder / "board.json")
     if entry["source"] == SHARED:
         if shared is None:
             return
@@ -120,9 +120,9 @@ def collect(entry: dict[str, Any], clones: Path, folder: Path, shared: Path | No
     cameras = {
         camera: shots_of_pattern(pattern, paths) for camera, pattern in entry["cameras"].items()
     }
-    chosen = chosen_shots(cameras, one_moment=entry.get("one_moment", True))
+    shots_to_write = chosen_shots(cameras, one_moment=entry.get("one_moment", True))
     for camera, shots in cameras.items():
-        target = own / camera
+        target = set_folder / camera
         if not shots:
             raise SystemExit(f"{entry['name']}: no file matches the pattern of {camera!r}.")
         target.mkdir(exist_ok=True)
@@ -135,9 +135,11 @@ def collect(entry: dict[str, Any], clones: Path, folder: Path, shared: Path | No
                     video = Path(temporary) / f"video{suffix}"
                     write(path, video)
                     write_video_frames(video, target, int(entry["frames"].removeprefix("every ")))
-            elif name in chosen[camera]:
+            elif name in shots_to_write[camera]:
                 write(path, target / f"{name}{suffix}")
-    counts = ", ".join(f"{camera} {len(list((own / camera).iterdir()))}" for camera in cameras)
+    counts = ", ".join(
+        f"{camera} {len(list((set_folder / camera).iterdir()))}" for camera in cameras
+    )
     print(f"{entry['name']}: {counts}")
 
 
@@ -169,10 +171,10 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--shared", type=Path, default=None)
     parser.add_argument("--only", nargs="*", default=())
-    given = parser.parse_args()
+    options = parser.parse_args()
     for entry in tomllib.loads(LISTED.read_text())["set"]:
-        if not given.only or entry["name"] in given.only:
-            collect(entry, given.clones, given.folder, given.shared)
+        if not options.only or entry["name"] in options.only:
+            collect(entry, options.clones, options.folder, options.shared)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Calibration of pictures as cameras deliver them: do the error bars hold, and who notices?
+"""Calibration of pictures as cameras deliver them: errors over sigmas, statuses and warnings.
 
     python benchmarks/real_pictures.py [--pictures 8] [--first 0] [--conditions NAME ...]
         [--knowledge told default measured exact] [--method pixels points] [--processes 2]
@@ -93,7 +93,7 @@ def pattern_of(sheet: SheetGrid) -> trinoc.Pattern:
 
 
 def view_of(condition: Case) -> bytes:
-    """What the radiance depends on besides the pose."""
+    """Key of all settings besides the pose that the radiance depends on."""
     view = (
         condition.scene,
         condition.sheet,
@@ -108,7 +108,7 @@ def view_of(condition: Case) -> bytes:
 
 
 def records_of_picture(
-    number: int, names: tuple[str, ...], known: tuple[str, ...], methods: tuple[str, ...]
+    number: int, names: tuple[str, ...], knowledge_kinds: tuple[str, ...], methods: tuple[str, ...]
 ) -> list[Record]:
     """The fits of one pose under every condition and knowledge."""
     pose, bounds, records = pose_of(number), {}, []
@@ -127,7 +127,7 @@ def records_of_picture(
                 lights[condition.optics], condition.sensor, condition.processing, seed=number
             )
             bound = bound_of(condition, pose, bounds)
-            for knowledge, method in itertools.product(known, methods):
+            for knowledge, method in itertools.product(knowledge_kinds, methods):
                 key = {"condition": name, "knowledge": knowledge, "method": method}
                 fit = fit_of(picture, condition, pose, knowledge, method)
                 records.append(key | {"picture": number, "bound": bound} | fit)
@@ -135,41 +135,41 @@ def records_of_picture(
 
 
 @in_float64
-def bound_of(condition: Case, pose: Pose, known: dict[tuple, np.ndarray]) -> list[float]:
+def bound_of(condition: Case, pose: Pose, cache: dict[tuple, np.ndarray]) -> list[float]:
     """Least standard deviations of the four parameters on a linear camera."""
     paper, sensor = condition.scene.paper, condition.sensor
     blur_px = condition.optics.rms_px
     rig = condition.distance_scale, condition.focal_scale
     key = (condition.sheet, *rig, blur_px, paper.ink / paper.paper)
-    if key not in known:
+    if key not in cache:
         # For noise as large as the paper's own level, whatever that is.
         values = np.array([*pose[:3], pose[3] * condition.distance_scale, 0.0, 0.0])
         ink = PAPER_LEVEL * paper.ink / paper.paper
         lens = Case(focal_scale=condition.focal_scale).said_lens(LENS)
         scene = Scene(pattern_of(condition.sheet), lens, values, blur_px, PAPER_LEVEL, ink)
-        known[key] = bound_of_image(scene, PAPER_LEVEL, 4, supersampling=BOUND_SUPERSAMPLING)
+        cache[key] = bound_of_image(scene, PAPER_LEVEL, 4, supersampling=BOUND_SUPERSAMPLING)
     middle = sensor.exposure * (paper.ink + paper.paper) / 2
     rounding = ROUNDING / 4 ** (condition.processing.bits - 8)
     noise = float(np.sqrt(sensor.noise_levels(middle) ** 2 + rounding))
     relative = noise / (255 * sensor.exposure * paper.paper)
-    return [relative * float(value) for value in known[key]]
+    return [relative * float(value) for value in cache[key]]
 
 
 def fit_of(picture: np.ndarray, condition: Case, pose: Pose, knowledge: str, method: str) -> Record:
     """One calibration: error, sigma, status and notes."""
-    told = condition.told
+    settings = condition.told
     lens = condition.said_lens(LENS)
     start = time.process_time()
     try:
         result = trinoc.calibrate(
             {"a": picture},
-            pattern_of(condition.sheet).rescale(*told.print_scale),
+            pattern_of(condition.sheet).rescale(*settings.print_scale),
             lens,
-            pose_model="aimed" if told.parameters == 4 else "aim-free",
+            pose_model="aimed" if settings.parameters == 4 else "aim-free",
             method=method,  # pyright: ignore[reportArgumentType]
-            systematics=systematics_of(told.exact if knowledge == "told" else knowledge, lens),
-            bayer=told.bayer,
-            response=told.response,
+            systematics=systematics_of(settings.exact if knowledge == "told" else knowledge, lens),
+            bayer=settings.bayer,
+            response=settings.response,
         )
     except CalibrationError as error:
         return {"status": "FAILED", "notes": [str(error)]}
@@ -193,7 +193,7 @@ def fit_of(picture: np.ndarray, condition: Case, pose: Pose, knowledge: str, met
 
 
 def systematics_of(exact: str, lens: trinoc.Intrinsics) -> trinoc.Systematics:
-    """What the calibration is told of everything that is not exact."""
+    """Systematic errors that the calibration assumes."""
     if exact in ("all", "exact"):
         return trinoc.Systematics()
     typical = trinoc.Systematics.typical({})
@@ -222,8 +222,8 @@ def summary_of(records: list[Record]) -> Record:
     z = np.abs(error / sigma)
     far = [
         record
-        for record, each in zip(fitted, z, strict=True)
-        if record["status"] == "CONVERGED" and each.max() > SILENT_SIGMAS
+        for record, scores in zip(fitted, z, strict=True)
+        if record["status"] == "CONVERGED" and scores.max() > SILENT_SIGMAS
     ]
     return row | {
         "z": float(np.sqrt(np.mean(z**2))),
@@ -238,7 +238,7 @@ def summary_of(records: list[Record]) -> Record:
 
 
 def kind_of(note: str) -> str:
-    """A note by its first words, those with numbers left out."""
+    """First seven words of a note, without words that contain digits."""
     words = [word for word in note.split() if not any(letter.isdigit() for letter in word)]
     return " ".join(words[:7])
 
@@ -278,7 +278,7 @@ def errors_of_row(name: str, row: Record) -> str:
 
 
 def chosen(beginnings: list[str]) -> list[str]:
-    """Conditions with one of these names, or that begin with one that is no name."""
+    """Conditions with one of these names; a name of no condition selects by its beginning."""
     names = []
     for beginning in beginnings:
         fit = [beginning] if beginning in CONDITIONS else []
@@ -299,25 +299,29 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--output", type=Path)
     parser.add_argument("--against", type=Path)
-    given = parser.parse_args()
-    names, known, methods = chosen(given.conditions), tuple(given.knowledge), tuple(given.method)
-    earlier = json.loads(given.against.read_text("utf-8")) if given.against else []
+    options = parser.parse_args()
+    names, knowledge_kinds, methods = (
+        chosen(options.conditions),
+        tuple(options.knowledge),
+        tuple(options.method),
+    )
+    earlier = json.loads(options.against.read_text("utf-8")) if options.against else []
     # One process a core: the libraries' own threads would only fight.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
     records: list[Record] = []
     spawned = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(given.processes, mp_context=spawned) as pool:
+    with ProcessPoolExecutor(options.processes, mp_context=spawned) as pool:
         jobs = [
-            pool.submit(records_of_picture, number, tuple(names), known, methods)
-            for number in range(given.first, given.first + given.pictures)
+            pool.submit(records_of_picture, number, tuple(names), knowledge_kinds, methods)
+            for number in range(options.first, options.first + options.pictures)
         ]
         for done, job in enumerate(as_completed(jobs), start=1):
             records += job.result()
             print(f"{done} of {len(jobs)} poses done", file=sys.stderr)
-            if given.output:
-                given.output.write_text(json.dumps(records, indent=1), "utf-8")
-    for knowledge, method in itertools.product(known, methods):
+            if options.output:
+                options.output.write_text(json.dumps(records, indent=1), "utf-8")
+    for knowledge, method in itertools.product(knowledge_kinds, methods):
         table_of(records, knowledge, method, names, earlier)
 
 

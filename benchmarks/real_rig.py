@@ -1,4 +1,4 @@
-"""A real stereo rig: does the relative pose scatter between shots as every shot claims?
+"""Scatter of a real stereo rig's relative pose between shots, over its reported covariance.
 
     TRINOC_DATA=... python benchmarks/real_rig.py [--shots N] [--method pixels points] [--corners]
 
@@ -46,13 +46,15 @@ def plate(radius_mm: float) -> trinoc.Pattern:
 
 
 def measured_radius_mm(image: np.ndarray) -> float:
-    """Of the circles, from the area of their images beside that of their lattice."""
+    """Radius of the circles, from the area of their images relative to that of the lattice."""
     first = plate(PITCH_MM / 4)
-    found = detect_pattern(image, first)
-    areas = np.pi * np.sqrt(np.linalg.det(found.shape_px2))
-    homography, _ = cv2.findHomography(first.centres_mm[found.circle_index], found.centres_px)
-    ones = np.ones((len(found.circle_index), 1))
-    depth = np.concatenate([first.centres_mm[found.circle_index], ones], 1) @ homography[2]
+    detection = detect_pattern(image, first)
+    areas = np.pi * np.sqrt(np.linalg.det(detection.shape_px2))
+    homography, _ = cv2.findHomography(
+        first.centres_mm[detection.circle_index], detection.centres_px
+    )
+    ones = np.ones((len(detection.circle_index), 1))
+    depth = np.concatenate([first.centres_mm[detection.circle_index], ones], 1) @ homography[2]
     stretch = np.abs(np.linalg.det(homography)) / np.abs(depth) ** 3
     return float(np.median(np.sqrt(areas / stretch / np.pi)))
 
@@ -76,11 +78,15 @@ def relative_pose(rig: trinoc.Rig) -> tuple[np.ndarray, np.ndarray]:
 
     def relative(values: np.ndarray) -> np.ndarray:
         matrices = []
-        for camera, own in zip(CAMERAS, np.split(values, 2), strict=True):
+        for camera, camera_values in zip(CAMERAS, np.split(values, 2), strict=True):
             lens = rig[camera].intrinsics
-            pose = dict(zip(names[:4], own[:4], strict=True))
+            pose = dict(zip(names[:4], camera_values[:4], strict=True))
             matrices.append(
-                np.asarray(trinoc.Camera.from_degrees(lens, **pose, aim_mm=own[4:]).cam_from_world)
+                np.asarray(
+                    trinoc.Camera.from_degrees(
+                        lens, **pose, aim_mm=camera_values[4:]
+                    ).cam_from_world
+                )
             )
         turn = matrices[1][:, :3] @ matrices[0][:, :3].T
         shift = matrices[1][:, 3] - turn @ matrices[0][:, 3]
@@ -96,18 +102,18 @@ def relative_pose(rig: trinoc.Rig) -> tuple[np.ndarray, np.ndarray]:
     return relative(values), jacobian @ covariance @ jacobian.T
 
 
-def report(label: str, found: list[tuple[np.ndarray, np.ndarray]], used: Counter) -> None:
-    weights = [np.linalg.inv(covariance) for _, covariance in found]
+def report(label: str, poses: list[tuple[np.ndarray, np.ndarray]], used: Counter) -> None:
+    weights = [np.linalg.inv(covariance) for _, covariance in poses]
     total = np.linalg.inv(np.sum(weights, axis=0))
-    mean = total @ np.sum([w @ value for w, (value, _) in zip(weights, found, strict=True)], axis=0)
-    off = np.array([value - mean for value, _ in found])
-    sigma = np.array([np.sqrt(np.diag(covariance)) for _, covariance in found])
+    mean = total @ np.sum([w @ value for w, (value, _) in zip(weights, poses, strict=True)], axis=0)
+    off = np.array([value - mean for value, _ in poses])
+    sigma = np.array([np.sqrt(np.diag(covariance)) for _, covariance in poses])
     z = np.sqrt(np.mean((off / sigma) ** 2, axis=0))
     squared = sum(float(o @ w @ o) for o, w in zip(off, weights, strict=True))
     print(
-        f"{label:30s} shots {len(found):2d}  z "
+        f"{label:30s} shots {len(poses):2d}  z "
         + " ".join(f"{value:5.2f}" for value in z)
-        + f"  whole {squared / (6 * (len(found) - 1)):6.2f}  scatter "
+        + f"  whole {squared / (6 * (len(poses) - 1)):6.2f}  scatter "
         + " ".join(f"{value:.4f}" for value in off.std(axis=0))
         + f"  used {dict(used)}"
     )
@@ -119,11 +125,11 @@ def corners_over_claims(folder: Path) -> None:
         images = [
             cv2.imread(str(f), cv2.IMREAD_GRAYSCALE) for f in sorted(folder.glob(f"{camera}*"))
         ]
-        for said, shots in (("odd", images[::2]), ("even", images[1::2])):
-            found = trinoc.calibrate_rig({camera: shots}, board)
+        for parity, shots in (("odd", images[::2]), ("even", images[1::2])):
+            result = trinoc.calibrate_rig({camera: shots}, board)
             print(
-                f"{camera}, {said} shots: rms {found.rms_px() / np.sqrt(2):.4f} px per axis, "
-                f"over claimed sigmas {found.fits[camera].sigma_factor:.2f}"
+                f"{camera}, {parity} shots: rms {result.rms_px() / np.sqrt(2):.4f} px per axis, "
+                f"over claimed sigmas {result.fits[camera].sigma_factor:.2f}"
             )
 
 
@@ -132,18 +138,18 @@ def main() -> None:
     parser.add_argument("--shots", type=int, default=15)
     parser.add_argument("--method", nargs="*", default=["pixels", "points"])
     parser.add_argument("--corners", action="store_true")
-    given = parser.parse_args()
-    if given.corners:
+    options = parser.parse_args()
+    if options.corners:
         corners_over_claims(Path(os.environ["TRINOC_DATA"]) / "stereo_chessboard")
         return
     folder = Path(os.environ["TRINOC_DATA"]) / "stereo_circle_plate"
-    images = {camera: pictures(folder, camera, given.shots) for camera in CAMERAS}
+    images = {camera: pictures(folder, camera, options.shots) for camera in CAMERAS}
     radius_mm = measured_radius_mm(images["left"][0])
     sheet = plate(radius_mm)
     print(f"radius of the circles {radius_mm:.2f} mm")
     lenses, covariances = {}, {}
-    for camera, own in images.items():
-        result = trinoc.calibrate_intrinsics(own, sheet)
+    for camera, camera_images in images.items():
+        result = trinoc.calibrate_intrinsics(camera_images, sheet)
         lenses[camera], covariances[camera] = result.lens, result.covariance
         print(f"{camera}: focal length {np.round(result.values[:2], 2)} px")
     aim = trinoc.Systematics(aim_sigma_mm=1000.0)
@@ -154,9 +160,9 @@ def main() -> None:
             aim_sigma_mm=1000.0, lens_covariance=covariances
         ),
     }
-    for said, known in knowledge.items():
-        for method in given.method:
-            found, used = [], Counter()
+    for label, systematics in knowledge.items():
+        for method in options.method:
+            poses, used = [], Counter()
             for pair in zip(*images.values(), strict=True):
                 try:
                     answer = trinoc.calibrate(
@@ -164,15 +170,15 @@ def main() -> None:
                         sheet,
                         lenses,
                         method=method,
-                        systematics=known,
+                        systematics=systematics,
                         orientation="upright",
                     )
                 except (CalibrationError, DetectionError) as error:
                     print(f"  {error}")
                     continue
                 used.update(fit.method for fit in answer.fits.values())
-                found.append(relative_pose(answer.rig))
-            report(f"{said}, {method}", found, used)
+                poses.append(relative_pose(answer.rig))
+            report(f"{label}, {method}", poses, used)
 
 
 if __name__ == "__main__":

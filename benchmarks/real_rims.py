@@ -1,4 +1,4 @@
-"""Rims on photographs: a plate of 100 circles, where each is known, and walls, where none are.
+"""Rims on photographs: a plate of 100 known circles, and walls without circles.
 
     TRINOC_DATA=DIR python benchmarks/real_rims.py [--shots N] [--merton]
 
@@ -58,7 +58,7 @@ def of_plate(name: str, rims: Rims, centres_mm: np.ndarray, radius_mm: float) ->
 
 
 def rims_of(views: dict[str, np.ndarray], rig: Rig) -> tuple[Rims, float]:
-    """Rims, and the processor time that they took."""
+    """Rims of the views, and the processor time in seconds."""
     chords = {view: trinoc.find_segments(image, arcs=True) for view, image in views.items()}
     matches = trinoc.match_segments(chords, rig)
     start = time.process_time()
@@ -71,14 +71,16 @@ def plates(folder: Path, shots: int) -> None:
     sheet = plate(radius_mm)
     print(f"radius by area {radius_mm:.3f} mm")
     lenses = {}
-    for camera, own in images.items():
-        lens = trinoc.calibrate_intrinsics(own, sheet).lens
+    for camera, camera_images in images.items():
+        lens = trinoc.calibrate_intrinsics(camera_images, sheet).lens
         assert lens is not None
         lenses[camera] = lens
     for number, pair in enumerate(zip(*images.values(), strict=True)):
         views: dict[str, np.ndarray] = dict(zip(CAMERAS, pair, strict=True))
-        known = trinoc.Systematics(aim_sigma_mm=1000.0)
-        rig = trinoc.calibrate(views, sheet, lenses, systematics=known, orientation="upright").rig
+        systematics = trinoc.Systematics(aim_sigma_mm=1000.0)
+        rig = trinoc.calibrate(
+            views, sheet, lenses, systematics=systematics, orientation="upright"
+        ).rig
         rims, seconds = rims_of(views, rig)
         of_plate(f"shot {number} ({seconds:.1f} s)", rims, sheet.centres_mm, radius_mm)
 
@@ -96,10 +98,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--shots", type=int, default=6)
     parser.add_argument("--merton", action="store_true")
-    given = parser.parse_args()
+    options = parser.parse_args()
     data = Path(os.environ["TRINOC_DATA"])
-    plates(data / "stereo_circle_plate", given.shots)
-    if given.merton:
+    plates(data / "stereo_circle_plate", options.shots)
+    if options.merton:
         merton(data / "vgg_merton1")
 
 

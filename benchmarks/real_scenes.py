@@ -1,4 +1,4 @@
-"""Tracks of public real scenes, judged by views that the matching did not see.
+"""Tracks of public real scenes, tested in views that were not matched.
 
     python benchmarks/real_scenes.py FOLDER [--only NAME ...] [--sets 3 6 most] [--save DIR]
 
@@ -45,12 +45,12 @@ class View(NamedTuple):
     matrix_px: np.ndarray
     size_px: np.ndarray
     segments: trinoc.Segments
-    near: np.ndarray
+    direction_bits: np.ndarray
 
 
 class Judged(NamedTuple):
-    """Of each track: views that support and that show it, whether it can be judged and is
-    supported, and whether a wrong line is."""
+    """For each track: numbers of supporting and of showing views, whether it can be judged and
+    is supported, and whether a wrong line is supported."""
 
     supporting: np.ndarray
     showing: np.ndarray
@@ -61,7 +61,7 @@ class Judged(NamedTuple):
 
 def directions_near(ends_px: np.ndarray, size_px: np.ndarray) -> np.ndarray:
     """(h, w) the bins of direction, as bits, of the segments that pass within NEAR_PX."""
-    near = np.zeros((size_px[1], size_px[0]), np.uint64)
+    direction_bits = np.zeros((size_px[1], size_px[0]), np.uint64)
     for first, second in ends_px:
         along = second - first
         length = np.linalg.norm(along)
@@ -73,8 +73,8 @@ def directions_near(ends_px: np.ndarray, size_px: np.ndarray) -> np.ndarray:
         offsets = np.arange(-NEAR_PX, NEAR_PX + 0.1, 0.5)[None, :, None]
         pixel = np.rint(first + steps * along + offsets * across).astype(int).reshape(-1, 2)
         u, v = pixel[((pixel >= 0) & (pixel < size_px)).all(axis=1)].T
-        near[v, u] |= bits
-    return near
+        direction_bits[v, u] |= bits
+    return direction_bits
 
 
 def load_views(scene: Path) -> tuple[dict[str, View], trinoc.Rig]:
@@ -86,8 +86,8 @@ def load_views(scene: Path) -> tuple[dict[str, View], trinoc.Rig]:
         segments = trinoc.find_segments(picture, intrinsics=lens if lens.has_distortion else None)
         ideal = trinoc.Intrinsics.from_matrix(lens.matrix, lens.image_size_px)
         cameras[name] = trinoc.Camera(ideal, camera.pose)
-        near = directions_near(np.asarray(segments.endpoints_px), size)
-        views[name] = View(np.asarray(cameras[name].matrix_px), size, segments, near)
+        direction_bits = directions_near(np.asarray(segments.endpoints_px), size)
+        views[name] = View(np.asarray(cameras[name].matrix_px), size, segments, direction_bits)
     return views, trinoc.Rig(cameras)
 
 
@@ -97,17 +97,17 @@ def matching_sets(rig: trinoc.Rig, wanted: list[str]) -> dict[str, tuple[list[st
     away = np.linalg.norm(centre - centre[:, None], axis=2)
     order = [list(rig)[k] for k in np.argsort(away[away.sum(axis=1).argmin()])]
     sets = {}
-    for each in wanted:
-        count = min(int(each) if each != "most" else len(order), len(order) - HELD_OUT[0])
-        near = order[: count + HELD_OUT[1]]
-        others = np.linspace(1, len(near) - 1, len(near) - count).round().astype(int)
-        held = near[3:] if count == 3 else [near[k] for k in others]
-        sets[str(count)] = ([name for name in near if name not in held], held)
+    for set_name in wanted:
+        count = min(int(set_name) if set_name != "most" else len(order), len(order) - HELD_OUT[0])
+        nearest = order[: count + HELD_OUT[1]]
+        others = np.linspace(1, len(nearest) - 1, len(nearest) - count).round().astype(int)
+        held_out = nearest[3:] if count == 3 else [nearest[k] for k in others]
+        sets[str(count)] = ([name for name in nearest if name not in held_out], held_out)
     return sets
 
 
 def clip_to_picture(ends_px: np.ndarray, size_px: np.ndarray) -> np.ndarray:
-    """(n, 2) shares of the way between the ends, from where to where it lies in the picture."""
+    """(n, 2) start and end of each segment's part in the picture, as shares of its length."""
     first, along = ends_px[:, 0], ends_px[:, 1] - ends_px[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         bounds = np.stack([-first / along, (size_px - 1 - first) / along], axis=-1)
@@ -116,7 +116,7 @@ def clip_to_picture(ends_px: np.ndarray, size_px: np.ndarray) -> np.ndarray:
 
 
 def show_and_support(lines_mm: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
-    """Whether a view shows each of (n, 2, 3) lines, and whether its segments support it."""
+    """Masks of the (n, 2, 3) lines that a view shows, and that its segments support."""
     image = lines_mm @ view.matrix_px[:, :3].T + view.matrix_px[:, 3]
     before = (image[..., 2] > 0).all(axis=1)
     ends = image[..., :2] / np.where(before[:, None], image[..., 2], 1.0)[..., None]
@@ -124,11 +124,11 @@ def show_and_support(lines_mm: np.ndarray, view: View) -> tuple[np.ndarray, np.n
     along, inside = ends[:, 1] - ends[:, 0], part[:, 1] - part[:, 0]
     shown = before & (inside >= HALF) & (inside * np.linalg.norm(along, axis=1) >= LEAST_PX)
     steps = part[:, :1] + np.linspace(0, 1, SAMPLES) * (part[:, 1:] - part[:, :1])
-    at = np.rint(ends[:, :1] + np.where(shown[:, None], steps, 0)[..., None] * along[:, None])
-    u, v = np.where(shown[:, None, None], at, 0).astype(int).clip(0, view.size_px - 1).T
+    pixels = np.rint(ends[:, :1] + np.where(shown[:, None], steps, 0)[..., None] * along[:, None])
+    u, v = np.where(shown[:, None, None], pixels, 0).astype(int).clip(0, view.size_px - 1).T
     angle = np.degrees(np.arctan2(along[:, 1], along[:, 0])) % 180
     bit = np.rint(angle * BINS / 180).astype(np.uint64) % np.uint64(BINS)
-    on = (view.near[v, u] >> bit) & np.uint64(1)
+    on = (view.direction_bits[v, u] >> bit) & np.uint64(1)
     return shown, shown & (on.mean(axis=0) >= HALF)
 
 
@@ -146,14 +146,16 @@ def sigma_across_px(matches: trinoc.Matches, view: View) -> np.ndarray:
     image = matches.lines_mm @ view.matrix_px[:, :3].T + view.matrix_px[:, 3]
     line = line_through(image)
     slope = (line @ view.matrix_px[:, :3])[:, None] / image[..., 2:]
-    own = np.stack([matches.covariance_mm2[:, :3, :3], matches.covariance_mm2[:, 3:, 3:]], axis=1)
+    end_covariance = np.stack(
+        [matches.covariance_mm2[:, :3, :3], matches.covariance_mm2[:, 3:, 3:]], axis=1
+    )
     degrees = 2 * ((matches.index >= 0).sum(axis=1) - 2)
     excess = np.maximum(matches.misfit / np.maximum(degrees, 1), 1)
-    return np.sqrt(np.einsum("tei,teij,tej->te", slope, own, slope).max(axis=1) / excess)
+    return np.sqrt(np.einsum("tei,teij,tej->te", slope, end_covariance, slope).max(axis=1) / excess)
 
 
-def judge(matches: trinoc.Matches, rig: trinoc.Rig, held: list[View]) -> Judged:
-    """Support of each track by the views held out, against that of copies moved in depth."""
+def judge(matches: trinoc.Matches, rig: trinoc.Rig, held_out_views: list[View]) -> Judged:
+    """Support of each track in held-out views, against the support of copies moved in depth."""
     generator = np.random.default_rng(0)
     centres = np.array([rig[name].centre_world_mm for name in matches.views])
     sees = (matches.index >= 0)[..., None]
@@ -163,7 +165,7 @@ def judge(matches: trinoc.Matches, rig: trinoc.Rig, held: list[View]) -> Judged:
     factor = np.concatenate([np.ones((1, len(matches))), factor])[..., None, None]
     lines = (origin + factor * (matches.lines_mm - origin)).reshape(-1, 2, 3)
     shown, support = np.zeros((2, COPIES + 2, len(matches)), int)
-    for view in held:
+    for view in held_out_views:
         showing, supporting = show_and_support(lines, view)
         certain = sigma_across_px(matches, view) < SURE_PX
         shown += showing.reshape(shown.shape) & certain
@@ -185,31 +187,31 @@ def member_distances(matches: trinoc.Matches, rig: trinoc.Rig) -> np.ndarray:
 
 
 def groups(matches: trinoc.Matches) -> dict[str, np.ndarray]:
-    """Rows of the table: the tracks of each, by number of views and by misfit."""
+    """Masks of the tracks in each row of the table, by number of views and by misfit."""
     count = (matches.index >= 0).sum(axis=1)
     ratio = np.where(count > 3, matches.misfit / np.maximum(2 * (count - 2), 1), np.nan)
     by_views = {str(k): count == k for k in (2, 3, 4, 5)} | {"6+": count > 5, "all": count > 1}
     return by_views | {"fit": ratio < 1, "off": ratio > 10}
 
 
-def print_group(name: str, rows: np.ndarray, posterior: np.ndarray, judged: Judged) -> None:
-    """One line of the table: tracks of `rows`, and those judged by posterior."""
-    picked = rows & judged.decided
-    words, error = [], 0.0
+def print_group(name: str, rows: np.ndarray, posterior: np.ndarray, verdict: Judged) -> None:
+    """Print one line of the table: the tracks of `rows`, and their support by posterior."""
+    picked = rows & verdict.decided
+    cells, error = [], 0.0
     for low, high in pairwise(EDGES):
         here = picked & (posterior >= low) & ((posterior < high) | (high == 1))
-        words.append("-")
+        cells.append("-")
         if here.any():
-            right, claimed = judged.supported[here].mean(), posterior[here].mean()
-            error += here.sum() / picked.sum() * abs(claimed - right)
-            words[-1] = f"{right:.2f}/{claimed:.2f} ({here.sum():4d})"
-    chance = judged.by_chance[picked].mean() if picked.any() else np.nan
+            right, mean_posterior = verdict.supported[here].mean(), posterior[here].mean()
+            error += here.sum() / picked.sum() * abs(mean_posterior - right)
+            cells[-1] = f"{right:.2f}/{mean_posterior:.2f} ({here.sum():4d})"
+    chance = verdict.by_chance[picked].mean() if picked.any() else np.nan
     counts = f"{name:>6s} {rows.sum():6d} {picked.sum():6d}"
-    print(counts, *(f"{word:>15s}" for word in words), f" {error:.3f}  {chance:.3f}")
+    print(counts, *(f"{cell:>15s}" for cell in cells), f" {error:.3f}  {chance:.3f}")
 
 
 def judge_scene(scene: Path, wanted: list[str], save: Path | None) -> None:
-    """Match the sets of a scene, judge and print them."""
+    """Match the sets of a scene, test their tracks and print the table."""
     views, rig = load_views(scene)
     counts = np.quantile([len(view.segments) for view in views.values()], [0, 1]).astype(int)
     print(f"\n{scene.name}: {len(views)} views of {counts[0]} to {counts[1]} segments")
@@ -217,7 +219,7 @@ def judge_scene(scene: Path, wanted: list[str], save: Path | None) -> None:
         start = time.process_time()
         matches = trinoc.match_segments({name: views[name].segments for name in names}, rig)
         seconds = time.process_time() - start
-        judged = judge(matches, rig, [views[name] for name in others])
+        verdict = judge(matches, rig, [views[name] for name in others])
         off = np.quantile(member_distances(matches, rig), [0.5, 0.95, 0.99])
         print(f" {number} matched ({' '.join(names)}), held out {' '.join(others)}")
         print(f" {matches.status.name}, members off by {np.round(off, 2)} px, {seconds:.1f} s")
@@ -225,11 +227,11 @@ def judge_scene(scene: Path, wanted: list[str], save: Path | None) -> None:
         print(f" views tracks judged {bins}  error chance")
         for name, rows in groups(matches).items():
             if rows.any():
-                print_group(name, rows, matches.posterior, judged)
+                print_group(name, rows, matches.posterior, verdict)
         if save is not None:
             save.mkdir(parents=True, exist_ok=True)
-            kept = {each: getattr(matches, each) for each in KEPT} | judged._asdict()
-            np.savez(save / f"{scene.name}_{number}.npz", names=names, held=others, **kept)
+            record = {field: getattr(matches, field) for field in KEPT} | verdict._asdict()
+            np.savez(save / f"{scene.name}_{number}.npz", names=names, held=others, **record)
 
 
 def main() -> None:
@@ -239,10 +241,10 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=())
     parser.add_argument("--sets", nargs="*", default=["3", "6", "most"])
     parser.add_argument("--save", type=Path)
-    given = parser.parse_args()
-    for path in sorted(given.folder.glob("*/rig.json")):
-        if not given.only or path.parent.name in given.only:
-            judge_scene(path.parent, given.sets, given.save)
+    options = parser.parse_args()
+    for path in sorted(options.folder.glob("*/rig.json")):
+        if not options.only or path.parent.name in options.only:
+            judge_scene(path.parent, options.sets, options.save)
 
 
 if __name__ == "__main__":

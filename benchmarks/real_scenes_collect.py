@@ -59,7 +59,7 @@ def cameras_of(
 
 
 def smaller_camera(camera: trinoc.Camera, size: tuple[int, int]) -> trinoc.Camera:
-    """The camera of the same picture in another size."""
+    """Camera of the same picture, resized to another size."""
     lens = camera.intrinsics
     factor = np.array(size) / lens.image_size_px
     resized = trinoc.Intrinsics(
@@ -98,7 +98,9 @@ def collect(entry: dict[str, Any], clones: Path, folder: Path) -> None:
     for view, camera in cameras.items():
         if tuple(camera.image_size_px) != sizes[view]:
             print(f"{entry['name']} {view}: camera {camera.image_size_px}, picture {sizes[view]}.")
-    rig = trinoc.Rig({view: smaller_camera(each, small[view]) for view, each in cameras.items()})
+    rig = trinoc.Rig(
+        {view: smaller_camera(camera, small[view]) for view, camera in cameras.items()}
+    )
     trinoc.save(rig, scene / "rig.json")
     print(f"{entry['name']}: {len(rig)} views, {next(iter(small.values()))} px")
 
@@ -109,10 +111,10 @@ def main() -> None:
     parser.add_argument("clones", type=Path)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", nargs="*", default=())
-    given = parser.parse_args()
+    options = parser.parse_args()
     for entry in tomllib.loads(LISTED.read_text())["scene"]:
-        if not given.only or entry["name"] in given.only:
-            collect(entry, given.clones, given.folder)
+        if not options.only or entry["name"] in options.only:
+            collect(entry, options.clones, options.folder)
 
 
 if __name__ == "__main__":

@@ -27,19 +27,19 @@ def main() -> None:
         "--published-only", action="store_true", help="no matching of our own"
     )
     commands.add_parser("times").add_argument("--scipy-seconds", type=int, default=480)
-    given = parser.parse_args()
-    match given.part:
+    options = parser.parse_args()
+    match options.part:
         case "made":
-            made.run(given.trials)
+            made.run(options.trials)
         case "matched":
-            matched.run(given.trials)
+            matched.run(options.trials)
         case "photographs":
             if "TRINOC_DATA" not in os.environ:
                 raise SystemExit("Set TRINOC_DATA to the folder that holds vgg_merton1.")
             folder = Path(os.environ["TRINOC_DATA"])
-            photographs.run(folder, given.trials, published_only=given.published_only)
+            photographs.run(folder, options.trials, published_only=options.published_only)
         case "times":
-            times.run(given.scipy_seconds)
+            times.run(options.scipy_seconds)
 
 
 if __name__ == "__main__":

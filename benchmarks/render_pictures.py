@@ -160,7 +160,7 @@ def make_blocks(
     shadows: bool = True,
     sharp: bool = False,
 ) -> None:
-    """One block scene with all that `seed` decides about it."""
+    """Make one block scene, whose solids, light and greys are drawn by `seed`."""
     folder = out / f"block_{seed}"
     folder.mkdir(parents=True, exist_ok=True)
     rig, scene = table1_rig(resolution=resolution), block_scene(seed)
@@ -180,7 +180,7 @@ def make_blocks(
 
 
 def make_colours(out: Path, seed: int, threads: int) -> None:
-    """The scene of `make_blocks` in colours: the light that falls on each pixel, and the truth."""
+    """Make the scene of `make_blocks` in colours: the light on each pixel, and the truth."""
     folder = out / f"block_{seed}"
     folder.mkdir(parents=True, exist_ok=True)
     rig, scene = table1_rig(), block_scene(seed)
@@ -188,15 +188,15 @@ def make_colours(out: Path, seed: int, threads: int) -> None:
     generator = np.random.default_rng([seed, 2])
     colours = [coloured(grey, generator) for grey in greys]
     text = blocks_text(scene, colours, table, light)
-    seen = {}
+    parts_by_view = {}
     for view, camera in rig.items():
         fine = render(text, camera, fold=COLOUR_FOLD, threads=threads, colour=True)
         light_levels = 257 * exposed_pixels(fine, fold=COLOUR_FOLD, blur_px=COLOUR_BLUR_PX)
         levels = np.clip(np.rint(light_levels), 0, 65535).astype(np.uint16)
         cv2.imwrite(str(folder / f"light_{view}.png"), levels[..., ::-1])
-        seen[view] = seen_parts(scene, camera, fine.mean(axis=-1), fold=COLOUR_FOLD)
+        parts_by_view[view] = seen_parts(scene, camera, fine.mean(axis=-1), fold=COLOUR_FOLD)
     save_rig(rig, folder / "rig.json")
-    truth = SceneTruth(scene.edges_mm, scene.edge_kinds, seen)
+    truth = SceneTruth(scene.edges_mm, scene.edge_kinds, parts_by_view)
     save_scene_truth(truth, folder / "truth.json", {"seed": seed, "blur_px": COLOUR_BLUR_PX})
 
 
@@ -211,7 +211,7 @@ def greys_and_light(
 
 
 def coloured(greys: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """(faces, 3) one solid's reflectances: a hue of its own, of a saturation that fits in."""
+    """(faces, 3) reflectances of one solid: its random hue, at a saturation that stays valid."""
     hue = generator.normal(size=3)
     hue = (hue - hue.mean()) / np.ptp(hue)
     share = generator.uniform(0.2, 0.9) * np.minimum(greys - 0.02, 0.98 - greys)
@@ -222,11 +222,11 @@ def make_scene(
     out: Path, scene: Scene, rig: Rig, text: str, *, blur_px: float, noise: float, seed: int,
     fold: int, threads: int, about: dict[str, Any], bare_text: str | None = None,
 ) -> None:  # fmt: skip
-    """Pictures of a block scene from all cameras, and its truth.
+    """Make the pictures of a block scene from all cameras, and its truth.
 
     With `bare_text`, the scene without shadows, also the grey levels that shadows take away.
     """
-    seen, silhouettes = {}, {}
+    parts_by_view, silhouettes = {}, {}
     for offset, (view, camera) in enumerate(rig.items()):
         grey = render(text, camera, fold=fold, threads=threads)
         if bare_text is not None:
@@ -235,9 +235,9 @@ def make_scene(
         write_image(picture, grey, fold=fold, blur_px=blur_px, noise=noise, seed=seed + offset)
         if bare_text is not None:
             write_clean(out / f"clean_{view}.png", grey, fold=fold, blur_px=blur_px)
-        seen[view] = seen_parts(scene, camera, grey, fold=fold)
+        parts_by_view[view] = seen_parts(scene, camera, grey, fold=fold)
         silhouettes[view] = np.round(scene.silhouettes_seen_by(camera), 6).tolist()
-    truth = SceneTruth(scene.edges_mm, scene.edge_kinds, seen)
+    truth = SceneTruth(scene.edges_mm, scene.edge_kinds, parts_by_view)
     about = {
         **about,
         "blur_px": blur_px,
@@ -249,7 +249,7 @@ def make_scene(
 
 
 def write_shadows(path: Path, text: str, bare_text: str, camera: Camera, threads: int) -> None:
-    """What shadows take away from each pixel, without blur and noise, as 8 bits."""
+    """Write the light that shadows take from each pixel, without blur and noise, as 8 bits."""
     shaded, bare = (render(body, camera, fold=1, threads=threads) for body in (text, bare_text))
     cv2.imwrite(str(path), np.clip(np.rint(bare - shaded), 0, 255).astype(np.uint8))
 
@@ -257,7 +257,7 @@ def write_shadows(path: Path, text: str, bare_text: str, camera: Camera, threads
 def write_image(
     path: Path, grey: np.ndarray, *, fold: int, blur_px: float, noise: float, seed: int
 ) -> None:
-    """The picture that a sensor makes of fine grey levels: blur, box, noise, 8 bits.
+    """Write the sensor's picture of fine grey levels: blur, pixel box, noise, 8 bits.
 
     The noise of a CCD grows with the light: its variance is a third constant, two thirds in
     proportion to the grey level, and `noise` is its sigma at 128.
@@ -269,13 +269,13 @@ def write_image(
 
 
 def write_clean(path: Path, grey: np.ndarray, *, fold: int, blur_px: float) -> None:
-    """The same without noise, in 256ths of a grey level, 16 bits."""
+    """Write the picture without noise, in 256ths of a grey level, 16 bits."""
     pixels = exposed_pixels(grey, fold=fold, blur_px=blur_px)
     cv2.imwrite(str(path), np.clip(np.rint(256 * pixels), 0, 65535).astype(np.uint16))
 
 
 def exposed_pixels(grey: np.ndarray, *, fold: int, blur_px: float) -> np.ndarray:
-    """Blurred by a Gaussian of `blur_px` and averaged over fold x fold: the camera's pixels."""
+    """Camera pixels: blurred by a Gaussian of `blur_px` and averaged over fold x fold."""
     blurred = cv2.GaussianBlur(grey, (0, 0), blur_px * fold, borderType=cv2.BORDER_REPLICATE)
     height, width = (side // fold for side in grey.shape[:2])
     return blurred.reshape(height, fold, width, fold, *grey.shape[2:]).mean(axis=(1, 3))
@@ -293,7 +293,7 @@ def face_greys(
 
 
 def random_light(generator: np.random.Generator, contrast: float) -> Light:
-    """A soft lamp from some side above, and weaker light from two others."""
+    """A soft lamp from a random side above, and weaker light from two others."""
     azimuth, height = generator.uniform(0, 2 * np.pi), generator.uniform(0.9, 1.25)
     side = azimuth + generator.uniform(1.6, 2.6)
 
@@ -317,7 +317,7 @@ def random_light(generator: np.random.Generator, contrast: float) -> Light:
 
 
 def described(solid: Any) -> dict[str, Any]:
-    """A solid as it stands in truth.json."""
+    """Record of a solid for truth.json."""
     if isinstance(solid, Cylinder):
         return {
             "kind": solid.kind,

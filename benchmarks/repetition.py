@@ -1,4 +1,4 @@
-"""Patterns that repeat: whether posteriors are true where neighbours shift together.
+"""Patterns that repeat: calibration of posteriors where whole rows of matches can shift.
 
     python benchmarks/repetition.py [--seeds 3] [--first 1] [--only "comb|pictures"] [--copies]
 
@@ -50,7 +50,7 @@ EXPOSURES = {"fair": 0.9 / 0.85, "overexposed": 2.2}
 
 
 class Rectangles(NamedTuple):
-    """Figures in one plane: middle and size of each, (n, 2), mm, and how far apart they repeat."""
+    """Figures in one plane: middle and size of each, (n, 2), mm, and their period."""
 
     middle: np.ndarray
     size: np.ndarray
@@ -68,13 +68,13 @@ def chessboard(columns: int, random: np.random.Generator) -> Rectangles:
 def bricks(columns: int, random: np.random.Generator) -> Rectangles:
     length, height = random.uniform(14.0, 20.0), random.uniform(8.0, 10.0)
     mortar = random.uniform(1.5, 2.5)
-    i, j = (each.ravel() for each in np.indices((columns // 2, 8)))
+    i, j = (index.ravel() for index in np.indices((columns // 2, 8)))
     middle = np.stack([(i - columns / 4 + j % 2 / 2) * length, (j - 3.5) * height], axis=1)
     return Rectangles(middle, np.full(middle.shape, (length, height)) - mortar, length / 2)
 
 
 def of_rectangles(figures: Rectangles) -> np.ndarray:
-    """(e, 2, 3) sides, those of neighbours that are the same once."""
+    """(e, 2, 3) sides of all figures; a side that neighbours share comes once."""
     corners = figures.middle[:, None] + figures.size[:, None] / 2 * [
         [-1, -1],
         [1, -1],
@@ -135,7 +135,7 @@ MADE: dict[str, Callable[[int, np.random.Generator], np.ndarray]] = {
 
 
 class Case(NamedTuple):
-    """Segments of a pattern, its rig, and which tracks are right; what they miss by, if known."""
+    """Segments of a pattern, its rig, and functions for right tracks and squared errors."""
 
     segments: dict[str, Segments]
     rig: Rig
@@ -144,7 +144,7 @@ class Case(NamedTuple):
 
 
 def columns_of(random: np.random.Generator) -> int:
-    """Periods of a pattern: it ends in all pictures, or in none."""
+    """Number of periods: the pattern ends inside all pictures, or inside none."""
     return int(random.integers(10, 15)) if random.random() < 0.6 else 50
 
 
@@ -170,25 +170,25 @@ def made(kind: str, rig_name: str, exposure: str, seed: int) -> Case:
     # Each view misses edges by itself, so that some are in one view alone.
     missed = 0.12 if over else 0.05
     edge_of, extent = {}, {}
-    for view, own in segments.items():
+    for view, view_segments in segments.items():
         edge = np.asarray(truth.edge_of[view])
         shown = (random.random(len(edges)) > missed)[edge] | (edge < 0)
         edge_of[view], extent[view] = edge[shown], truth.extent[view][shown]
-        segments[view] = take_rows(own, shown)
+        segments[view] = take_rows(view_segments, shown)
     truth = SegmentTruth(truth.edges_mm, edge_of, extent)
     bright = np.where(random.random(len(edges)) < 0.5, 1.0, -1.0)
-    for view, own in segments.items() if over else ():
-        ends = np.asarray(own.endpoints_px)
+    for view, view_segments in segments.items() if over else ():
+        ends = np.asarray(view_segments.endpoints_px)
         step = ends[:, 1] - ends[:, 0]
         normal = np.stack([step[:, 1], -step[:, 0]], axis=1) / np.linalg.norm(step, axis=1)[:, None]
         normal *= np.where(normal @ [1.0, 0.5] < 0, -1.0, 1.0)[:, None]
         out = random.uniform(0, 0.6) * bright[truth.edge_of[view]] * (truth.edge_of[view] >= 0)
         moved = ends + out[:, None, None] * normal[:, None]
-        segments[view] = eqx.tree_at(lambda s: s.endpoints_px, own, moved)
+        segments[view] = eqx.tree_at(lambda s: s.endpoints_px, view_segments, moved)
 
     def is_right(matches: Matches) -> np.ndarray:
         edges = [edges_of(matches, truth, track) for track in range(len(matches))]
-        return np.array([len(own) == 1 and min(own) >= 0 for own in edges], dtype=bool)
+        return np.array([len(numbers) == 1 and min(numbers) >= 0 for numbers in edges], dtype=bool)
 
     return Case(segments, rig, is_right, lambda matches: squares(matches, truth))
 
@@ -216,26 +216,26 @@ def pictured(kind: str, rig_name: str, exposure: str, seed: int) -> Case:
     }
 
     def is_right(matches: Matches) -> np.ndarray:
-        places = np.full((len(matches), len(matches.views), 2), np.nan)
+        positions_mm = np.full((len(matches), len(matches.views), 2), np.nan)
         for number, view in enumerate(matches.views):
-            seen = matches.index[:, number] >= 0
-            middle = matches.fragments_px[seen, number].mean(axis=1)
+            is_member = matches.index[:, number] >= 0
+            middle = matches.fragments_px[is_member, number].mean(axis=1)
             flat = undistort_pixels(rig[view].intrinsics, middle)
             on_plane = np.linalg.inv(rig[view].matrix_px[:, [0, 1, 3]])
-            place = np.column_stack([flat, np.ones(len(flat))]) @ on_plane.T
-            places[seen, number] = place[:, :2] / place[:, 2:]
-        spread = np.nanmax(places, axis=1) - np.nanmin(places, axis=1)
+            homogeneous = np.column_stack([flat, np.ones(len(flat))]) @ on_plane.T
+            positions_mm[is_member, number] = homogeneous[:, :2] / homogeneous[:, 2:]
+        spread = np.nanmax(positions_mm, axis=1) - np.nanmin(positions_mm, axis=1)
         return np.linalg.norm(spread, axis=1) < figures.period_mm / 4
 
     edges = of_rectangles(figures._replace(middle=figures.middle + shift))
 
     def squares_of_right(matches: Matches) -> np.ndarray:
-        found = np.full(len(matches), np.nan)
+        distances = np.full(len(matches), np.nan)
         for track in np.flatnonzero(is_right(matches)).tolist():
             edge = nearest_edge(edges, matches.lines_mm[track])
             if edge is not None:
-                found[track] = square_of(matches, track, edge)
-        return found
+                distances[track] = square_of(matches, track, edge)
+        return distances
 
     return Case(segments, rig, is_right, squares_of_right)
 
@@ -248,18 +248,18 @@ def nearest_edge(edges_mm: np.ndarray, line_mm: np.ndarray) -> np.ndarray | None
     offset = line_mm - edges_mm[:, None, 0]
     part = np.einsum("eki,ei->ek", offset, along)
     off = np.linalg.norm(offset - part[..., None] * along[:, None], axis=2).max(axis=1)
-    beside = (part.min(axis=1) < np.linalg.norm(step, axis=1)) & (part.max(axis=1) > 0)
-    off[~beside] = np.inf
+    overlaps = (part.min(axis=1) < np.linalg.norm(step, axis=1)) & (part.max(axis=1) > 0)
+    off[~overlaps] = np.inf
     return edges_mm[off.argmin()] if off.min() < 2.0 else None
 
 
 class Row(NamedTuple):
-    """What one set of segments came to."""
+    """Result of one set of segments."""
 
     posterior: np.ndarray
     right: np.ndarray
     in_three: np.ndarray
-    held: np.ndarray
+    is_inside: np.ndarray
     ambiguous: int
     seconds: float
 
@@ -268,36 +268,36 @@ def measure(case: Case) -> Row:
     begin = time.process_time()
     matches = match_segments(case.segments, case.rig)
     seconds = time.process_time() - begin
-    found = case.squares(matches)
-    held = found[np.isfinite(found)] < chi2.ppf(0.95, 4)
+    distances = case.squares(matches)
+    is_inside = distances[np.isfinite(distances)] < chi2.ppf(0.95, 4)
     three = (matches.index >= 0).sum(axis=1) > 2
     ambiguous = sum(
-        np.char.startswith(words.astype(str), "ambiguous").sum()
-        for words in matches.reasons.values()
+        np.char.startswith(reasons.astype(str), "ambiguous").sum()
+        for reasons in matches.reasons.values()
     )
     right = case.is_right(matches)
-    return Row(matches.posterior, right, three, held, int(ambiguous), seconds)
+    return Row(matches.posterior, right, three, is_inside, int(ambiguous), seconds)
 
 
 def report(name: str, rows: list[Row]) -> None:
-    """A line of three views and one of pairs."""
-    p, right, three, held = (
+    """Print a line for tracks in three views and one for pairs."""
+    p, right, three, is_inside = (
         np.concatenate([getattr(row, field) for row in rows])
-        for field in ("posterior", "right", "in_three", "held")
+        for field in ("posterior", "right", "in_three", "is_inside")
     )
-    for words, chosen in (("three", three), ("two", ~three)):
-        own, true = p[chosen], right[chosen].astype(bool)
-        place = np.digitize(own, LEVELS) - 1
+    for label, mask in (("three", three), ("two", ~three)):
+        posteriors, true = p[mask], right[mask].astype(bool)
+        level = np.digitize(posteriors, LEVELS) - 1
         cells = []
         for k, (low, _) in enumerate(pairwise(LEVELS)):
-            if (place == k).any():
-                cells.append(f"{low:g}: {true[place == k].mean():.2f} ({(place == k).sum()})")
-        sure = own > 0.9
-        mean = f"{own.mean():.3f} right {true.mean():.3f}" if len(own) else "-"
-        print(f"{name:36} {words:5} mean {mean}; {'; '.join(cells)} | sure {sure.sum()}, ", end="")
+            if (level == k).any():
+                cells.append(f"{low:g}: {true[level == k].mean():.2f} ({(level == k).sum()})")
+        sure = posteriors > 0.9
+        mean = f"{posteriors.mean():.3f} right {true.mean():.3f}" if len(posteriors) else "-"
+        print(f"{name:36} {label:5} mean {mean}; {'; '.join(cells)} | sure {sure.sum()}, ", end="")
         print(f"wrong {(sure & ~true).sum()}")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    share = f"{held.mean():.3f} ({len(held)})" if len(held) else "-"
+    share = f"{is_inside.mean():.3f} ({len(is_inside)})" if len(is_inside) else "-"
     print(
         f"{name:36} 95 % regions hold {share}; ambiguous {sum(row.ambiguous for row in rows)}; "
         f"{sum(row.seconds for row in rows):.1f} s; peak {peak:.0f} MiB",
@@ -306,7 +306,7 @@ def report(name: str, rows: list[Row]) -> None:
 
 
 def copies(seed: int) -> None:
-    """Ten copies of one segment, jittered, among segments of loose lines: the tracks on it."""
+    """Print the tracks on ten jittered copies of one segment, among segments of loose lines."""
     rig = table1_rig()
     for jitter_px in (0.0, 0.02, 0.05, 0.1, 0.2, 0.4):
         random = np.random.default_rng(seed)
@@ -316,18 +316,18 @@ def copies(seed: int) -> None:
             Detector(missing_share=0.0, broken_share=0.0),
             seed=seed,
         )
-        shared = set.intersection(*(set(own.tolist()) for own in truth.edge_of.values())) - {-1}
-        edge, given = min(shared), {}
-        for view, own in segments.items():
-            ends = np.asarray(own.endpoints_px)
+        shared = set.intersection(*(set(edges.tolist()) for edges in truth.edge_of.values())) - {-1}
+        edge, inputs = min(shared), {}
+        for view, view_segments in segments.items():
+            ends = np.asarray(view_segments.endpoints_px)
             on = ends[truth.edge_of[view] == edge][:1]
             more = np.repeat(on, 10, axis=0) + jitter_px * random.normal(size=(10, 2, 2))
-            given[view] = np.concatenate([more, ends[truth.edge_of[view] != edge]]).reshape(-1, 4)
-        matches = match_segments(given, rig)
+            inputs[view] = np.concatenate([more, ends[truth.edge_of[view] != edge]]).reshape(-1, 4)
+        matches = match_segments(inputs, rig)
         on_it = (matches.index < 10).all(axis=1) & (matches.posterior > 0.9)
         equal = {
-            view: (words == "equal to another segment").sum()
-            for view, words in matches.reasons.items()
+            view: (reasons == "equal to another segment").sum()
+            for view, reasons in matches.reasons.items()
         }
         print(
             f"copies, jitter {jitter_px:4g} px: {on_it.sum()} sure tracks; refused {equal}",

@@ -34,20 +34,20 @@ def main() -> None:
     part.add_argument("--board", choices=tuple(pixels.BOARDS))
     part.add_argument("--fisheye", action="store_true")
     commands.add_parser("held-out").add_argument("--pixels", action="store_true")
-    given = parser.parse_args()
-    match given.part:
+    options = parser.parse_args()
+    match options.part:
         case "made":
-            made.run(given.trials, given.shots)
+            made.run(options.trials, options.shots)
         case "board-sets":
-            board_sets.run(given.trials, given.shots)
+            board_sets.run(options.trials, options.shots)
         case "splines":
-            splines.run(given.trials, given.shots, given.bump)
+            splines.run(options.trials, options.shots, options.bump)
         case "pixels":
-            pixels.run(given.board, given.scenes, given.trials, fisheye=given.fisheye)
+            pixels.run(options.board, options.scenes, options.trials, fisheye=options.fisheye)
         case "held-out":
             if "TRINOC_DATA" not in os.environ:
                 raise SystemExit("Set TRINOC_DATA to the folder that holds stereo_chessboard.")
-            held_out.run(Path(os.environ["TRINOC_DATA"]), pixels=given.pixels)
+            held_out.run(Path(os.environ["TRINOC_DATA"]), pixels=options.pixels)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What rims of round bodies give to matched lines of rendered pictures: with and without them.
+"""Effect of the rims of round bodies on matched lines of rendered pictures.
 
     python benchmarks/rims.py FOLDER ...
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from matching import _calibration_error as calibration_error
-from matching_rendered import Place, _place, score_place
+from matching_rendered import RenderedScene, load_rendered_scene, score_scene
 
 import trinoc
 from trinoc.io.rig_json import load_rig
@@ -25,31 +25,31 @@ from trinoc.match.tracks.matches import Matches
 WAYS = {"matched": (), "with rims": ("rims",)}
 
 
-def match_place(place: Place, steps: tuple) -> Matches:
+def match_scene(scene: RenderedScene, steps: tuple) -> Matches:
     """The tracks of a scene after some steps, without what is likely an outline."""
-    segments = {view: trinoc.find_segments(image) for view, image in place.pictures.items()}
+    segments = {view: trinoc.find_segments(image) for view, image in scene.pictures.items()}
     matches, *_ = improve(
-        trinoc.match_segments(segments, place.rig),
+        trinoc.match_segments(segments, scene.rig),
         segments,
-        place.rig,
+        scene.rig,
         steps,
         arcs=lambda: {
-            view: trinoc.find_segments(image, arcs=True) for view, image in place.pictures.items()
+            view: trinoc.find_segments(image, arcs=True) for view, image in scene.pictures.items()
         },
     )
     return matches.take(matches.marks.get("silhouette", np.zeros(len(matches))) <= 0.5)
 
 
-def row_of_scenes(places: list[Place], steps: tuple) -> str:
+def row_of_scenes(scenes: list[RenderedScene], steps: tuple) -> str:
     """The figures of all these scenes."""
     scores, views, outcomes, seconds = [], np.zeros(4), [], 0.0
-    for place in places:
+    for scene in scenes:
         for _ in range(1 if scores else 2):  # the first run compiles
             began = time.process_time()
-            matches = match_place(place, steps)
+            matches = match_scene(scene, steps)
             spent = time.process_time() - began
         seconds += spent
-        score, by_views, outcome = score_place(place, matches)
+        score, by_views, outcome = score_scene(scene, matches)
         scores.append(score)
         views += by_views
         outcomes += outcome
@@ -58,22 +58,24 @@ def row_of_scenes(places: list[Place], steps: tuple) -> str:
     return (
         f"precision {precision:.3f} ({without_shadows:.3f})  recall {recall:.3f}  "
         f"three views {views[0] / views[1]:.3f}  two {views[2] / max(views[3], 1e-9):.3f}  "
-        f"calibration error {error:.3f}  {seconds / len(places):.2f} s"
+        f"calibration error {error:.3f}  {seconds / len(scenes):.2f} s"
     )
 
 
 def main() -> None:
-    """Print a line for each way."""
+    """Print a line for each method."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folders", type=Path, nargs="+")
-    given = parser.parse_args()
+    options = parser.parse_args()
     trinoc.io.enable_compile_cache()
-    for folder in given.folders:
+    for folder in options.folders:
         scenes = [path.parent for path in sorted(folder.glob("*/truth.json"))]
-        places = [_place(scene, load_rig(scene / "rig.json")) for scene in scenes]
+        rendered_scenes = [
+            load_rendered_scene(scene, load_rig(scene / "rig.json")) for scene in scenes
+        ]
         for name, steps in WAYS.items():
-            print(f"{folder.name:10s} {len(places)} scenes  {name:10s} ", end="")
-            print(row_of_scenes(places, steps), flush=True)
+            print(f"{folder.name:10s} {len(rendered_scenes)} scenes  {name:10s} ", end="")
+            print(row_of_scenes(rendered_scenes, steps), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Segments against the exact edges of rendered scenes: what counts as found, right and how far.
+"""Segments against the exact edges of rendered scenes: recall, precision and errors.
 
 Segments against published segments of photographs: how many of those are found.
 """
@@ -119,16 +119,16 @@ def rendered_images(folder: Path) -> Iterator[Picture]:
 
 
 def pictures_of_scene(path: Path, rig: Rig) -> Iterator[Picture]:
-    """The pictures beside the truth of one scene, as `rendered_images` has them."""
+    """The pictures in the folder of one scene's truth, as of `rendered_images`."""
     truth, record = load_scene_truth(path), json.loads(path.read_text())
     outlines = record["silhouettes_mm"]
-    for view, seen in truth.seen.items():
+    for view, visible_parts in truth.seen.items():
         matrix = np.asarray(rig[view].matrix_px)
-        straight = np.array([truth.edge_kinds[edge] == "edge" for edge in seen.edge])
-        edge, extent = seen.edge[straight], seen.extent[straight]
+        straight = np.array([truth.edge_kinds[edge] == "edge" for edge in visible_parts.edge])
+        edge, extent = visible_parts.edge[straight], visible_parts.extent[straight]
         first, second = truth.edges_mm[edge, 0], truth.edges_mm[edge, 1]
         parts = first[:, None] + extent[:, :, None] * (second - first)[:, None]
-        step = -seen.grey_step[straight]
+        step = -visible_parts.grey_step[straight]
         rows = np.column_stack([_project(matrix, parts), step, np.ones(len(step))])
         body = np.array(outlines[view]).reshape(-1, 2, 3)
         unknown = np.tile([5.0, 0.0], (len(body), 1))
@@ -139,7 +139,7 @@ def pictures_of_scene(path: Path, rig: Rig) -> Iterator[Picture]:
         gradient = shadow_gradient(path.parent / f"shadows_{view}.png", grey.shape)
         slope = np.linalg.norm(gradient, axis=-1)
         slope = cv2.dilate(slope, np.ones((2 * SHADOW_PX + 1,) * 2, np.uint8))
-        rim_edge, rim_extent = seen.edge[~straight], seen.extent[~straight]
+        rim_edge, rim_extent = visible_parts.edge[~straight], visible_parts.extent[~straight]
         first, second = truth.edges_mm[rim_edge, 0], truth.edges_mm[rim_edge, 1]
         parts = first[:, None] + rim_extent[:, :, None] * (second - first)[:, None]
         yield Picture(
@@ -164,7 +164,7 @@ def shadow_gradient(path: Path, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def score(segments: np.ndarray, picture: Picture) -> Score:
-    """Segments (n, 4) against the edges of a picture.
+    """Score of segments (n, 4) against the edges of a picture.
 
     Samples every half pixel: one is found (right) when a segment (an edge) lies within 1.5 px
     and eight degrees of it. A segment that is right over half of its length is compared with
@@ -185,15 +185,15 @@ def score(segments: np.ndarray, picture: Picture) -> Score:
             continue
         row = weak[np.bincount(hits[hits >= 0]).argmax()]
         edge = row[:4].reshape(2, 2)
-        way = (edge[1] - edge[0]) / np.linalg.norm(edge[1] - edge[0])
+        direction = (edge[1] - edge[0]) / np.linalg.norm(edge[1] - edge[0])
         offset = segment[:4].reshape(2, 2) - edge[0]
-        ends.append(offset[:, 1] * way[0] - offset[:, 0] * way[1])
+        ends.append(offset[:, 1] * direction[0] - offset[:, 0] * direction[1])
         gap = np.linalg.norm(segment[:4].reshape(2, 1, 2) - edge, axis=-1)
         error.extend(gap.min(axis=0))
-        along, size = offset @ way, np.linalg.norm(edge[1] - edge[0])
+        along, size = offset @ direction, np.linalg.norm(edge[1] - edge[0])
         beyond.append(np.where(along < size / 2, -along, along - size))
         matched.append(index)
-        same_way = np.sign((segment[2:4] - segment[:2]) @ way)
+        same_way = np.sign((segment[2:4] - segment[:2]) @ direction)
         others = off_line(edges, edge)
         alone.append(bool((covering(segment[None], others)[0] < 0).all()))
         step.append(same_way * row[4] if row[5] else np.nan)
@@ -217,25 +217,25 @@ def score(segments: np.ndarray, picture: Picture) -> Score:
 
 
 def off_line(edges: np.ndarray, line: np.ndarray) -> np.ndarray:
-    """The edges that are no parts of the line through two points."""
+    """Edges that do not lie on the line through two points."""
     return edges[np.abs(_across(edges, line)).max(axis=1) > SAME_LINE_PX]
 
 
 def _across(edges: np.ndarray, line: np.ndarray) -> np.ndarray:
-    """(m, 2) how far the ends of edges lie from a line through two points."""
-    way = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
+    """(m, 2) distances of the ends of edges from a line through two points."""
+    direction = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
     offset = edges[:, :4].reshape(-1, 2, 2) - line[0]
-    return offset[..., 1] * way[0] - offset[..., 0] * way[1]
+    return offset[..., 1] * direction[0] - offset[..., 0] * direction[1]
 
 
 def _on_shadow(segments: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Whether each sample of the segments lies on the edge of a shadow that runs along it."""
+    """Mask of the segments' samples on the edge of a shadow that runs along them."""
     sample, unit, _, _ = samples_of(segments)
     return samples_on_shadow(sample, unit, gradient)
 
 
 def samples_on_shadow(sample: np.ndarray, unit: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """Whether the edge of a shadow runs along `unit` within 1.5 px of each point."""
+    """Mask of the points at which a shadow's edge runs along `unit` within 1.5 px."""
     normal = np.stack([-unit[:, 1], unit[:, 0]], axis=-1)
     shadow = np.zeros(len(sample), dtype=bool)
     height, width = gradient.shape[:2]
@@ -252,13 +252,13 @@ def samples_of(lines: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, n
 
     The point, the unit vector along its line, the line, and the length it stands for.
     """
-    way = lines[:, 2:4] - lines[:, :2]
-    size = np.hypot(*way.T)
+    steps_px = lines[:, 2:4] - lines[:, :2]
+    size = np.hypot(*steps_px.T)
     count = np.maximum(1, np.rint(size / SAMPLE_PX).astype(int))
     owner = np.repeat(np.arange(len(lines)), count)
     step = (np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[owner]
-    sample = lines[owner, :2] + step[:, None] * way[owner]
-    return sample, (way / size[:, None])[owner], owner, (size / count)[owner]
+    sample = lines[owner, :2] + step[:, None] * steps_px[owner]
+    return sample, (steps_px / size[:, None])[owner], owner, (size / count)[owner]
 
 
 def covering(

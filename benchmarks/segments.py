@@ -144,29 +144,30 @@ def _print_normalised(ratio: np.ndarray, reasons: np.ndarray) -> None:
 
 
 def _ends(pictures: list[Picture]) -> None:
-    """Ends along and across, and what their claimed sigmas say."""
+    """Print the errors of the ends, along and across, and the share within their sigmas."""
     print("end px: along median / 90 %, share within 3 of its sigmas; across median / 90 %, same")
     parts: dict[str, list[np.ndarray]] = {"at a crossing": [], "free": []}
     for picture in pictures:
         segments = find_segments(picture.grey)
         ends = np.asarray(segments.endpoints_px)
-        found = score(ends.reshape(-1, 4), picture)
-        way = (ends[:, 1] - ends[:, 0])[found.matched]
-        way = way / np.linalg.norm(way, axis=1)[:, None]
-        normal = np.stack([-way[:, 1], way[:, 0]], axis=-1)
-        covariance = np.asarray(segments.covariance_px2)[found.matched]
+        scored = score(ends.reshape(-1, 4), picture)
+        directions = (ends[:, 1] - ends[:, 0])[scored.matched]
+        directions = directions / np.linalg.norm(directions, axis=1)[:, None]
+        normal = np.stack([-directions[:, 1], directions[:, 0]], axis=-1)
+        covariance = np.asarray(segments.covariance_px2)[scored.matched]
         blocks = np.stack([covariance[:, :2, :2], covariance[:, 2:, 2:]], axis=1)
         along, across = (
-            np.sqrt(np.einsum("ni,neij,nj->ne", axis, blocks, axis)) for axis in (way, normal)
+            np.sqrt(np.einsum("ni,neij,nj->ne", axis, blocks, axis))
+            for axis in (directions, normal)
         )
         rows = np.stack(
-            [np.abs(found.ends_along), along, np.abs(found.ends_across), across], axis=-1
+            [np.abs(scored.ends_along), along, np.abs(scored.ends_across), across], axis=-1
         ).reshape(-1, 4)
         crossing = rows[:, 1] < 1
         parts["at a crossing"].append(rows[crossing])
         parts["free"].append(rows[~crossing])
-    for name, of in parts.items():
-        error, sigma, off, sigma_off = np.concatenate(of).T
+    for name, part_rows in parts.items():
+        error, sigma, off, sigma_off = np.concatenate(part_rows).T
         print(
             f"  {name:15s} {len(error):6d} {np.median(error):6.2f} / {np.quantile(error, 0.9):5.2f}"
             f"  {np.mean(error < 3 * sigma):.3f}   {np.median(off):.3f} / "
@@ -201,24 +202,30 @@ def _normalised(segments: Segments, picture: Picture) -> tuple[np.ndarray, np.nd
     is within 1.5 px, the reach of the comparison.
     """
     ends = np.asarray(segments.endpoints_px)
-    found = score(ends.reshape(-1, 4), picture)
-    way = ends[:, 1] - ends[:, 0]
-    normal = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.linalg.norm(way, axis=1)[:, None]
+    scored = score(ends.reshape(-1, 4), picture)
+    directions = ends[:, 1] - ends[:, 0]
+    normal = (
+        np.stack([-directions[:, 1], directions[:, 0]], axis=-1)
+        / np.linalg.norm(directions, axis=1)[:, None]
+    )
     half = np.concatenate([normal, normal], axis=1) / 2
     sigma = np.sqrt(np.einsum("ni,nij,nj->n", half, np.asarray(segments.covariance_px2), half))
     assert segments.reasons is not None
-    contrast = np.asarray(segments.contrast)[found.matched]
-    same = found.alone & np.isfinite(found.step)
-    alike = np.abs(contrast + found.step) < SAME_STEP * np.maximum(contrast, np.abs(found.step))
+    contrast = np.asarray(segments.contrast)[scored.matched]
+    same = scored.alone & np.isfinite(scored.step)
+    alike = np.abs(contrast + scored.step) < SAME_STEP * np.maximum(contrast, np.abs(scored.step))
     # Of a saturated step less is seen than there is.
-    same &= alike | ((segments.reasons[found.matched] == "saturated") & (found.step < 0))
-    places = ends[found.matched, :1] + np.linspace(0.1, 0.9, 9)[:, None] * way[found.matched, None]
-    column, row = np.rint(places).astype(int).clip(0).transpose(2, 0, 1)
+    same &= alike | ((segments.reasons[scored.matched] == "saturated") & (scored.step < 0))
+    samples_px = (
+        ends[scored.matched, :1]
+        + np.linspace(0.1, 0.9, 9)[:, None] * directions[scored.matched, None]
+    )
+    column, row = np.rint(samples_px).astype(int).clip(0).transpose(2, 0, 1)
     height, width = picture.grey.shape
     slope = picture.shadow_slope[row.clip(max=height - 1), column.clip(max=width - 1)]
     same &= slope.max(axis=1, initial=0.0) < SHADOW_SHARE * contrast
-    ratio = found.ends_across.mean(axis=1) / sigma[found.matched]
-    return ratio[same], segments.reasons[found.matched[same]]
+    ratio = scored.ends_across.mean(axis=1) / sigma[scored.matched]
+    return ratio[same], segments.reasons[scored.matched[same]]
 
 
 def nothing_to_find() -> None:
@@ -251,7 +258,7 @@ def nothing_to_find() -> None:
 
 
 class Delivery(NamedTuple):
-    """Light of both sides, of full white, and what makes grey levels of 0 to 255 of it."""
+    """Light of both sides and of full white, and the conversion to grey levels of 0 to 255."""
 
     name: str
     dark: float
@@ -296,16 +303,16 @@ def table_of_deliveries() -> None:
     """Print the mean shift toward the bright side, and the normalised errors."""
     print("\nSingle edges: shift toward the bright side; mean square of the normalised error")
     print("                        light of the sides  response     blur px: px (widths)")
-    for one in deliveries():
-        for response in one.responses:
+    for delivery in deliveries():
+        for response in delivery.responses:
             cells = []
             for blur in BLURS_PX:
-                found = np.array(list(_errors(one, blur, response)))
+                errors = np.array(list(_errors(delivery, blur, response)))
                 width = np.sqrt(blur**2 + _PIXEL_VARIANCE)
-                shift, square = found[:, 0].mean(), np.mean(np.square(found[:, 1]))
+                shift, square = errors[:, 0].mean(), np.mean(np.square(errors[:, 1]))
                 cells.append(f"{blur}: {shift:+.3f} ({shift / width:+.2f}) {square:7.2f}")
-            sides = f"{one.dark:.2f} {one.bright:.2f}"
-            print(f"  {one.name:24s} {sides:12s} {response!s:8s} {'   '.join(cells)}")
+            sides = f"{delivery.dark:.2f} {delivery.bright:.2f}"
+            print(f"  {delivery.name:24s} {sides:12s} {response!s:8s} {'   '.join(cells)}")
 
 
 def _errors(one: Delivery, blur_px: float, response: ResponseLike) -> Iterator[tuple[float, float]]:
@@ -338,9 +345,9 @@ def photograph_rows(folder: Path) -> None:
         sets.setdefault(photograph.name, []).append(photograph)
     for (name, pictures), (detector, detect) in product(sets.items(), DETECTORS.items()):
         rows = [_photograph_row(picture, detect) for picture in pictures]
-        found, length, all_length, across, counts, passed = zip(*rows, strict=True)
+        is_found, length, all_length, across, counts, passed = zip(*rows, strict=True)
         print(
-            f"  {name:12s} {len(pictures):3d} {detector:14s} {np.concatenate(found).mean():.3f}"
+            f"  {name:12s} {len(pictures):3d} {detector:14s} {np.concatenate(is_found).mean():.3f}"
             f"  {sum(length) / sum(all_length):.3f}  {np.median(np.concatenate(across)):.3f}"
             f" {np.mean(counts):8.1f} {1e3 * np.median(passed):8.0f} ms"
         )
@@ -353,13 +360,13 @@ def _photograph_row(
     lines = detect(picture.grey)
     passed = time.perf_counter() - begin
     hit, _, length, across = covering(picture.published, lines)
-    found = recall_of_published(picture, lines)
-    near = np.abs(across[hit >= 0])
-    return found, length[hit >= 0].sum(), length.sum(), near, len(lines), passed
+    is_found = recall_of_published(picture, lines)
+    across_px = np.abs(across[hit >= 0])
+    return is_found, length[hit >= 0].sum(), length.sum(), across_px, len(lines), passed
 
 
 def times() -> None:
-    """Boxes of light on a dark ground, as many per area at every size."""
+    """Print times on bright boxes on a dark ground, equally many per area at every size."""
     print("\nms (peak MiB)   " + "".join(f"{name:>17s}" for name in TIMED) + "   trinoc / LSD")
     for width, height, repeats in ((512, 480, 21), (2048, 1920, 7), (6000, 4000, 3)):
         middle = _medians(_boxes(width, height), repeats)
@@ -378,7 +385,7 @@ def _medians(grey: np.ndarray, repeats: int) -> dict[str, float]:
             begin = time.process_time()
             detect(grey)
             passed[name].append(1e3 * (time.process_time() - begin))
-    return {name: float(np.median(each)) for name, each in passed.items()}
+    return {name: float(np.median(milliseconds)) for name, milliseconds in passed.items()}
 
 
 def _peak_mib(name: str, width: int, height: int) -> float:
@@ -387,7 +394,7 @@ def _peak_mib(name: str, width: int, height: int) -> float:
 
 
 def _grown_mib(name: str, width: int, height: int) -> float:
-    """Growth of this process's peak by one call; a small picture has loaded what it needs."""
+    """Growth of this process's peak memory by one call, after a call on a small picture, MiB."""
     TIMED[name](_boxes(64, 64))
     grey = _boxes(width, height)
     # The peak counts from here, not from the making of the picture (Linux, "5" in man 5 proc).
@@ -426,19 +433,19 @@ def main() -> None:
     parser.add_argument("--photographs", type=Path)
     parser.add_argument("--no-times", action="store_true")
     parser.add_argument("--peak", nargs=3, metavar=("DETECTOR", "WIDTH", "HEIGHT"))
-    given = parser.parse_args()
-    if given.peak:
-        print(_grown_mib(given.peak[0], int(given.peak[1]), int(given.peak[2])))
+    options = parser.parse_args()
+    if options.peak:
+        print(_grown_mib(options.peak[0], int(options.peak[1]), int(options.peak[2])))
         return
     if "FLD" not in DETECTORS:
         print("FLD and EDLines are not here: this cv2 has no ximgproc.")
-    for folder in given.scenes:
+    for folder in options.scenes:
         scenes(folder)
     nothing_to_find()
     table_of_deliveries()
-    if given.photographs:
-        photograph_rows(given.photographs)
-    if not given.no_times:
+    if options.photographs:
+        photograph_rows(options.photographs)
+    if not options.no_times:
         times()
 
 

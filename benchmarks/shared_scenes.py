@@ -1,4 +1,4 @@
-"""Made scenes from files: NAME.npz with cameras and segments, NAME.gt.npz with their truth.
+"""Simulated scenes from files: NAME.npz with cameras and segments, NAME.gt.npz with truth.
 
 NAME.npz: P (3, 3, 4), size (w, h), segs_0 .. segs_2 (n, 4). NAME.gt.npz: X (m, 6) edges, gid_v
 the edge of each segment (-1 nobody's, -2 not scored), gt_v its extent on it.
@@ -18,7 +18,7 @@ VIEWS = ("upper", "left", "right")
 def load_scene(
     folder: Path, name: str, *, sigma_px: float = 0.5
 ) -> tuple[Rig, dict[str, Segments], SegmentTruth]:
-    """The rig, the segments of each view, and whose they are."""
+    """The rig, the segments of each view, and their true edges."""
     scene, truth = np.load(folder / f"{name}.npz"), np.load(folder / f"{name}.gt.npz")
     width, height = (int(side) for side in scene["size"])
     rig = Rig.from_matrices(dict(zip(VIEWS, scene["P"], strict=True)), (width, height))

@@ -133,19 +133,23 @@ def segment_figures(light: str, tuning) -> str:
     """Recall/precision, median error across, median-based variance of the normalised error."""
     scores, ratios = [], []
     for picture in demo_pictures(light):
-        found = find_segments(picture.grey, tuning=tuning)
-        ends = np.asarray(found.endpoints_px)
+        segments = find_segments(picture.grey, tuning=tuning)
+        ends = np.asarray(segments.endpoints_px)
         scores.append(score(ends.reshape(-1, 4), picture))
-        way = ends[:, 1] - ends[:, 0]
-        normal = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.linalg.norm(way, axis=1)[:, None]
+        directions = ends[:, 1] - ends[:, 0]
+        normal = (
+            np.stack([-directions[:, 1], directions[:, 0]], axis=-1)
+            / np.linalg.norm(directions, axis=1)[:, None]
+        )
         half = np.concatenate([normal, normal], axis=1) / 2
-        variance = np.einsum("ni,nij,nj->n", half, np.asarray(found.covariance_px2), half)
+        variance = np.einsum("ni,nij,nj->n", half, np.asarray(segments.covariance_px2), half)
         middle = scores[-1].ends_across.mean(axis=1)[scores[-1].alone]
         sigma = np.sqrt(variance[scores[-1].matched[scores[-1].alone]])
         ratios.append(np.stack([np.abs(middle), np.abs(middle) / sigma]))
     recall, precision = (
-        sum(getattr(one, part) for one in scores) / sum(getattr(one, whole) for one in scores)
-        for part, whole in (("found", "shown"), ("right", "put_out"))
+        sum(getattr(entry, part) for entry in scores)
+        / sum(getattr(entry, total) for entry in scores)
+        for part, total in (("found", "shown"), ("right", "put_out"))
     )
     error, ratio = np.median(np.concatenate(ratios, axis=1), axis=1)
     return f"{recall:.3f}/{precision:.3f} {error:.4f} {np.square(ratio / 0.6745):4.2f}"
@@ -165,7 +169,7 @@ def photograph_figures(tuning) -> list[str]:
         row = recall_of_published(picture, lines), len(lines)
         rows.setdefault(picture.name, []).append(row)
     return [
-        f"{np.concatenate([found for found, _ in row]).mean():.3f}"
+        f"{np.concatenate([is_found for is_found, _ in row]).mean():.3f}"
         f" {np.mean([count for _, count in row]):6.1f}"
         for row in rows.values()
     ]
@@ -174,8 +178,8 @@ def photograph_figures(tuning) -> list[str]:
 @cache
 def calibrations(name: str, value) -> list[tuple[int, dict[str, tuple[float, float]]]]:
     """For each light the cameras that converged, and value and sigma of every parameter."""
-    told = json.dumps([name, value, list(LIGHTS.values())])
-    command = [sys.executable, "-c", CALIBRATION, told]
+    request = json.dumps([name, value, list(LIGHTS.values())])
+    command = [sys.executable, "-c", CALIBRATION, request]
     return json.loads(subprocess.run(command, capture_output=True, check=True, text=True).stdout)
 
 
@@ -197,7 +201,7 @@ def calibration_figures(name: str, value) -> list[str]:
 
 
 def row_of_figures(name: str, value, seeds: int) -> list[str]:
-    """A value that the code does not bear has a row that says so."""
+    """Figures of one value; if the code fails with it, a row that reports this."""
     try:
         return _row_of_figures(name, value, seeds)
     except Exception as error:
@@ -223,18 +227,18 @@ def standing_value(name: str) -> Any:
 def names() -> Iterator[str]:
     for prefix, options in OPTIONS.items():
         for group in fields(options):
-            for each in fields(getattr(options, group.name)):
-                yield f"{prefix}{group.name}.{each.name}"
+            for entry in fields(getattr(options, group.name)):
+                yield f"{prefix}{group.name}.{entry.name}"
 
 
 def scaled(value: Any, factor: float) -> Any:
     if isinstance(value, tuple):
-        return tuple(scaled(each, factor) for each in value)
+        return tuple(scaled(entry, factor) for entry in value)
     return max(round(value * factor), 1) if isinstance(value, int) else value * factor
 
 
 def sweep_each(only: str, factors: list[float], seeds: int) -> None:
-    """Every number times every factor; a row where nothing changes says so."""
+    """Print a row for every number times every factor; "-" if nothing changes."""
     standing: dict[str, list[str]] = {}
     for name in names():
         value = standing_value(name)
@@ -261,21 +265,21 @@ def main() -> None:
     parser.add_argument("--each", nargs="+", type=float, metavar="FACTOR")
     parser.add_argument("--only", default="", metavar="START")
     parser.add_argument("--list", action="store_true")
-    given = parser.parse_args()
-    if given.each:
-        sweep_each(given.only, given.each, given.seeds)
+    options = parser.parse_args()
+    if options.each:
+        sweep_each(options.only, options.each, options.seeds)
         return
-    if given.list or given.name is None:
+    if options.list or options.name is None:
         for name in names():
             print(f"{name:40s} {standing_value(name)}")
         return
-    standing = standing_value(given.name)
+    standing = standing_value(options.name)
     sets = dict.fromkeys(picture.name for picture in photographs_of_data())
-    heads = [*LIGHTS, *sets] if given.name.startswith(PREFIX) else KINDS
-    heads = LIGHTS if given.name.startswith(CALIB) else heads
-    print(f"{given.name:20s} " + " ".join(f"{kind:25s}" for kind in heads))
-    for value in dict.fromkeys([standing, *given.values]):
-        row = row_of_figures(given.name, type(standing)(value), given.seeds)
+    heads = [*LIGHTS, *sets] if options.name.startswith(PREFIX) else KINDS
+    heads = LIGHTS if options.name.startswith(CALIB) else heads
+    print(f"{options.name:20s} " + " ".join(f"{kind:25s}" for kind in heads))
+    for value in dict.fromkeys([standing, *options.values]):
+        row = row_of_figures(options.name, type(standing)(value), options.seeds)
         line = " ".join(f"{figure:25s}" for figure in row)
         print(f"{value!s:20s} {line}{'  (standing)' if value == standing else ''}", flush=True)
 

@@ -1,4 +1,4 @@
-"""The wire frame of made and rendered scenes beside their true corners, edges and faces.
+"""Wire frames of simulated and rendered scenes, against true corners, edges and faces.
 
     python benchmarks/wireframe.py [--seeds N] [--rendered FOLDER]
 
@@ -40,7 +40,7 @@ class Tally:
     """Counts and errors of several scenes."""
 
     def __init__(self) -> None:
-        """Nothing yet."""
+        """Start with empty counts."""
         self.count: Counter[str] = Counter()
         self.error_mm: list[float] = []
         self.square: list[float] = []
@@ -53,16 +53,16 @@ class Tally:
         solids: tuple[Polyhedron, ...],
         tuning: MatchTuning = DEFAULT,
     ) -> None:
-        """One scene."""
+        """Add the counts and errors of one scene."""
         start = time.process_time()
         frame = trinoc.match.wireframe(matches, rig, tuning=tuning)
         self.count["ms"] += round(1e3 * (time.process_time() - start))
-        near = score_wireframe(frame, shape, NEAR_MM)
-        wide = score_wireframe(frame, shape, WIDE_MM)
+        near_score = score_wireframe(frame, shape, NEAR_MM)
+        wide_score = score_wireframe(frame, shape, WIDE_MM)
         normalised = trinoc.evaluate(frame, shape, tolerances_mm=(NEAR_MM,)).normalised
-        self.count.update(near.counts())
-        self.error_mm.extend(near.error_mm)
-        self.square.extend(wide.square)
+        self.count.update(near_score.counts())
+        self.error_mm.extend(near_score.error_mm)
+        self.square.extend(wide_score.square)
         self.count["lines"] += normalised.lines
         self.count["lines in"] += round(normalised.lines * normalised.share_of_lines)
         self.count["true faces"] += sum(_is_face(frame.vertices_mm[f], solids) for f in frame.faces)
@@ -70,7 +70,7 @@ class Tally:
         self.count["scenes"] += 1
 
     def text(self) -> str:
-        """A line."""
+        """One line with all figures."""
         n = self.count
         inside = np.array(self.square) < chi2.ppf(0.95, 3)
         return (
@@ -84,7 +84,7 @@ class Tally:
 
 
 def _is_face(vertices_mm: np.ndarray, solids: tuple[Polyhedron, ...]) -> bool:
-    """Whether one face of a solid has a vertex near each of these."""
+    """True if one face of a solid has a vertex near each of these."""
     return any(
         (np.linalg.norm(vertices_mm[:, None] - solid.vertices_mm[list(face)], axis=2) < NEAR_MM)
         .any(axis=1)
@@ -95,7 +95,7 @@ def _is_face(vertices_mm: np.ndarray, solids: tuple[Polyhedron, ...]) -> bool:
 
 
 def shape_of_segments(truth: SegmentTruth) -> KnownShape:
-    """The edges of which those parts are wanted that segments of two views cover."""
+    """Known shape whose wanted parts are those that segments of two views cover."""
     labels = np.zeros_like(truth.edges_mm)
     labels[:, :, 0] = np.arange(len(labels))[:, None]
     labels[:, 1, 1] = 1.0
@@ -115,16 +115,19 @@ def made(kind: str, seeds: int) -> str:
 def rendered(folder: Path) -> str:
     """Scenes of pictures."""
     tally = Tally()
-    for place in sorted(p.parent for p in folder.glob("*/truth.json")):
-        rig, truth = load_rig(place / "rig.json"), load_scene_truth(place / "truth.json")
-        kept = place / "matches.npz"
-        if kept.exists():
-            matches = trinoc.load_matches(kept)
+    for scene_folder in sorted(p.parent for p in folder.glob("*/truth.json")):
+        rig, truth = (
+            load_rig(scene_folder / "rig.json"),
+            load_scene_truth(scene_folder / "truth.json"),
+        )
+        matches_file = scene_folder / "matches.npz"
+        if matches_file.exists():
+            matches = trinoc.load_matches(matches_file)
         else:
-            pictures = {v: read_image(place / f"scene_{v}.png") for v in VIEWS}
+            pictures = {v: read_image(scene_folder / f"scene_{v}.png") for v in VIEWS}
             segments = {v: trinoc.find_segments(picture) for v, picture in pictures.items()}
             matches = trinoc.match_segments(segments, rig)
-        seed = json.loads((place / "truth.json").read_text()).get("seed")
+        seed = json.loads((scene_folder / "truth.json").read_text()).get("seed")
         solids = () if seed is None else block_scene(seed).solids
         boxes = tuple(solid for solid in solids if isinstance(solid, Polyhedron))
         tally.add(matches, rig, KnownShape.of_scene(truth), boxes)

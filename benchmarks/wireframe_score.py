@@ -1,4 +1,4 @@
-"""A wire frame beside a known shape: corners and edges found, missing and extra."""
+"""Score of a wire frame against a known shape: corners and edges found, missing and extra."""
 
 from typing import NamedTuple
 
@@ -60,25 +60,25 @@ def score_wireframe(frame: Wireframe, shape: KnownShape, reach_mm: float) -> Wir
     """Compare a wire frame with a known shape."""
     lines_mm = frame.lines_mm
     edge_of = edge_of_lines(lines_mm, shape.edges_mm, reach_mm)
-    known = known_corners(shape)
+    true_corners = known_corners(shape)
     vertices, spread = frame.vertices_mm, frame.vertices_covariance_mm2
     corners = np.flatnonzero(frame.corner)
-    ours, theirs = _pair_corners(vertices[corners], known.corners_mm, reach_mm)
-    error = vertices[corners[ours]] - known.corners_mm[theirs]
+    ours, theirs = _pair_corners(vertices[corners], true_corners.corners_mm, reach_mm)
+    error = vertices[corners[ours]] - true_corners.corners_mm[theirs]
     square = np.einsum(
         "pi,pij,pj->p", error, np.linalg.inv(spread[corners[ours]]), error, optimize=True
     )
     wanted, parts = np.unique(shape.wanted_edge), shape.wanted_mm
-    near = [
+    lengths = [
         measure_near_lengths(parts[shape.wanted_edge == edge], lines_mm[edge_of == edge], _STEP_MM)
         for edge in wanted
     ]
     return WireframeScore(
         edges_wanted=len(wanted),
-        edges_found=sum(each.share_within(reach_mm) >= LEAST_COVERED for each in near),
+        edges_found=sum(length.share_within(reach_mm) >= LEAST_COVERED for length in lengths),
         edges_extra=int((edge_of < 0).sum()),
-        corners_wanted=int(known.wanted.sum()),
-        corners_found=int(known.wanted[theirs].sum()),
+        corners_wanted=int(true_corners.wanted.sum()),
+        corners_found=int(true_corners.wanted[theirs].sum()),
         corners_extra=len(corners) - len(ours),
         error_mm=np.linalg.norm(error, axis=1),
         square=square,
@@ -87,48 +87,50 @@ def score_wireframe(frame: Wireframe, shape: KnownShape, reach_mm: float) -> Wir
 
 
 class KnownCorners(NamedTuple):
-    """Where known edges meet, and whether two or more wanted parts reach the place."""
+    """Corners of known edges, and whether two or more wanted parts reach each corner."""
 
     corners_mm: Float[np.ndarray, "c 3"]
     wanted: Bool[np.ndarray, "c"]
 
 
 def known_corners(shape: KnownShape) -> KnownCorners:
-    """The places where two known edges or more end that do not continue each other."""
+    """The corners at which two known edges or more end that do not continue each other."""
     ends = shape.edges_mm.reshape(-1, 3)
     if len(ends) == 0:
         return KnownCorners(np.zeros((0, 3)), np.zeros(0, dtype=bool))
     size = float(np.linalg.norm(np.ptp(ends, axis=0)))
     pairs = KDTree(ends).query_pairs(_SAME_PLACE * size, output_type="ndarray")
     ties = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(ends), len(ends)))
-    count, place = connected_components(ties, directed=False)
+    count, component = connected_components(ties, directed=False)
     out = shape.edges_mm[:, 1] - shape.edges_mm[:, 0]
-    way = out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), np.finfo(float).tiny)
+    directions = out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), np.finfo(float).tiny)
     wanted = np.zeros(len(ends), dtype=bool)
     extent = np.sort(shape.wanted_extent, axis=1)
     wanted[2 * shape.wanted_edge[extent[:, 0] <= _AT_END]] = True
     wanted[2 * shape.wanted_edge[extent[:, 1] >= 1 - _AT_END] + 1] = True
-    found, asked = [], []
+    corners, is_wanted = [], []
     for number in range(count):
-        at = np.flatnonzero(place == number)
-        if _turns(way[at // 2]):
-            found.append(ends[at].mean(axis=0))
-            asked.append(_turns(way[at[wanted[at]] // 2]))
-    return KnownCorners(np.array(found).reshape(-1, 3), np.array(asked, dtype=bool))
+        members = np.flatnonzero(component == number)
+        if _turns(directions[members // 2]):
+            corners.append(ends[members].mean(axis=0))
+            is_wanted.append(_turns(directions[members[wanted[members]] // 2]))
+    return KnownCorners(np.array(corners).reshape(-1, 3), np.array(is_wanted, dtype=bool))
 
 
-def _turns(way: Float[np.ndarray, "k 3"]) -> bool:
-    """Whether two directions or more differ."""
-    return len(way) > 1 and bool((np.linalg.norm(np.cross(way, way[0]), axis=1) > _STRAIGHT).any())
+def _turns(directions: Float[np.ndarray, "k 3"]) -> bool:
+    """True if two directions or more differ."""
+    return len(directions) > 1 and bool(
+        (np.linalg.norm(np.cross(directions, directions[0]), axis=1) > _STRAIGHT).any()
+    )
 
 
 def _pair_corners(
     found_mm: Float[np.ndarray, "n 3"], known_mm: Float[np.ndarray, "c 3"], reach_mm: float
 ) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
-    """Which is which, one to one: as many as lie within reach, at the least distance in all."""
-    apart = np.linalg.norm(found_mm[:, None] - known_mm, axis=2)
+    """Pair corners one to one: as many as lie within reach, at the least total distance."""
+    distances = np.linalg.norm(found_mm[:, None] - known_mm, axis=2)
     # Beyond reach all are equally far, so that none is given up for one that is out of reach.
     far = reach_mm * (len(found_mm) + len(known_mm) + 1)
-    ours, theirs = linear_sum_assignment(np.where(apart <= reach_mm, apart, far))
-    near = apart[ours, theirs] <= reach_mm
-    return ours[near], theirs[near]
+    ours, theirs = linear_sum_assignment(np.where(distances <= reach_mm, distances, far))
+    in_reach = distances[ours, theirs] <= reach_mm
+    return ours[in_reach], theirs[in_reach]

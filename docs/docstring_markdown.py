@@ -1,4 +1,4 @@
-"""For the page of docstrings: sections as bold words, and "name : what it is" as a list."""
+"""Convert docstrings for their page: sections in bold, and "name : description" as a list."""
 
 import re
 from typing import Any
@@ -7,16 +7,16 @@ import griffe
 
 
 class DocstringMarkdown(griffe.Extension):
-    """Rewrites every docstring before it is shown."""
+    """Converts every docstring to Markdown before it is rendered."""
 
     def on_object(self, *, obj: Any, **_: Any) -> None:
-        """Of each module, class and function."""
+        """Rewrite the docstring of a module, class or function."""
         if obj.docstring is not None:
             obj.docstring.value = as_markdown(obj.docstring.value)
 
 
 def as_markdown(text: str) -> str:
-    """Underlined words are sections; lines such as "x, y : of a point" begin items."""
+    """Markdown of a docstring: underlined words as sections, "x, y : ..." as list items."""
     text = re.sub(r"(?m)^([A-Z]\w+)\n-{3,}$", r"\n**\1**\n", text)
     # The tree of errors is drawn with lines.
     text = re.sub(r"(?m)^(.*\n(?:[├└│].*\n?)+)", r"```text\n\1\n```\n", text)
@@ -26,8 +26,8 @@ def as_markdown(text: str) -> str:
         if item:
             # In NumPy's layout a type stands here, and the description begins on the next line.
             is_type = re.match(r"    [A-Z]", following) and not item[2].endswith((".", ","))
-            words = f" ({item[2]}):" if is_type else f": {item[2]}"
-            lines += ([] if listed else [""]) + [f"- `{item[1]}`{words}"]
+            description = f" ({item[2]}):" if is_type else f": {item[2]}"
+            lines += ([] if listed else [""]) + [f"- `{item[1]}`{description}"]
         else:
             lines.append(line)
         listed = bool(item) or (listed and line.startswith("    "))

@@ -37,7 +37,7 @@ def with_messages(page: str) -> str:
 
 
 def _messages(file: Path) -> Iterator[tuple[str, str]]:
-    """Cause and text of every public function of a file of sentences."""
+    """Cause and text of every public function of a file of messages."""
     module = ast.parse(file.read_text(encoding="utf-8"))
     functions = {node.name: node for node in module.body if isinstance(node, ast.FunctionDef)}
     constants = _assignments(module)

@@ -43,7 +43,7 @@ def examples() -> dict[str, np.ndarray]:
 
 
 def write_gallery() -> None:
-    """What comes out of the demo's pictures, as notebooks draw it."""
+    """Draw the results of the demo's pictures, as notebooks do."""
     import matplotlib as mpl
 
     mpl.use("agg")

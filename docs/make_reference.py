@@ -14,29 +14,31 @@ def with_options(page: str) -> str:
     first: dict[tuple[str, str], str] = {}
     for name in re.findall(r"^### `trinoc ([\w-]+)`", page, re.M):
         options = _options(name)
-        whole = "".join(f"- {words}\n" for words in _listed(name, options, first))
+        listed = "".join(f"- {line}\n" for line in _listed(name, options, first))
         section = rf"(### `trinoc {name}`\n(?:(?!### |- `).*\n)*?)(?:- `.*\n)+"
-        page, found = re.subn(section, lambda match, own=whole: match[1] + own, page)
-        assert found == 1, f"{PAGE.name} has no list of options of {name}"
+        page, count = re.subn(section, lambda match, lines=listed: match[1] + lines, page)
+        assert count == 1, f"{PAGE.name} has no list of options of {name}"
     return page
 
 
 def _listed(
     command: str, options: list[tuple[str, str]], first: dict[tuple[str, str], str]
 ) -> list[str]:
-    """A line for each option; those that an earlier command has alike share one, at the end."""
+    """A line for each option. Options equal to an earlier command's share one line at the end."""
     lines, shared = [], {}
-    for option, words in options:
-        owner = first.setdefault((option, words), command)
+    for option, text in options:
+        owner = first.setdefault((option, text), command)
         if owner == command:
-            lines.append(f"{option}: {words}")
+            lines.append(f"{option}: {text}")
         else:
             shared.setdefault(owner, []).append(option)
-    return lines + [f"{', '.join(own)}: as of `trinoc {owner}`" for owner, own in shared.items()]
+    return lines + [
+        f"{', '.join(names)}: as of `trinoc {owner}`" for owner, names in shared.items()
+    ]
 
 
 def _options(command: str) -> list[tuple[str, str]]:
-    """(how it is typed, what it says) of each option."""
+    """(typed form, description) of each option."""
     rows = [
         (_typed(option), " ".join(filter(None, (option.text, _default(option)))))
         for option in list_options(find_command(command))
@@ -46,14 +48,14 @@ def _options(command: str) -> list[tuple[str, str]]:
 
 
 def _typed(option: Option) -> str:
-    """The option with its short form, what is typed behind it, and its other names."""
+    """The option's main form with its value, and its other names."""
     if not option.typed:
         return f"`{option.metavar}`"
-    whole = f"{option.typed} {option.metavar}".strip()
+    main_form = f"{option.typed} {option.metavar}".strip()
     names = sorted(
-        (*option.aliases, whole), key=lambda each: (each.startswith("--"), each != whole)
+        (*option.aliases, main_form), key=lambda name: (name.startswith("--"), name != main_form)
     )
-    return ", ".join(f"`{each}`" for each in names)
+    return ", ".join(f"`{name}`" for name in names)
 
 
 def _default(option: Option) -> str:

@@ -1,4 +1,4 @@
-"""Made inputs for tests, benchmarks and docs: scenes of blocks, their segments, rendered pictures.
+"""Simulated inputs for tests, benchmarks and docs: block scenes, segments, rendered pictures.
 
 A development package: `pip install .` does not install it. Its files import `trinoc`, and nothing
 in `trinoc` imports them.

@@ -1,4 +1,4 @@
-"""2-D segments as a detector gives them, made from a scene, with whose they are.
+"""Simulated 2-D segments of a scene, as a detector reports them, with their true edges.
 
 End points are noisy, segments break in pieces, some are missing in one view, some are
 nobody's, and detectors cut ends back: each by its own number, so that a matcher can be tried
@@ -20,7 +20,7 @@ from trinoc.synth.truth import NOT_SCORED, SPURIOUS, SegmentTruth, points_along
 
 
 class Detector(eqx.Module):
-    """How a segment detector errs.
+    """Errors of a segment detector.
 
     Fields
     ------
@@ -46,7 +46,7 @@ PERFECT = Detector(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 def simulate_segments(
     scene: Scene, rig: Rig, detector: Detector, *, seed: int
 ) -> tuple[dict[str, Segments], SegmentTruth]:
-    """Segments of every view in random order and direction, and the truth about them.
+    """Segments of every view in random order and direction, and their truth.
 
     Outlines of cylinders, which are no edges, come as segments that are not scored. Lens
     distortion is left out: the segments are those of the undistorted pictures.
@@ -66,8 +66,8 @@ def simulate_segments(
         part = np.concatenate([part, np.tile([0.0, 1.0], (len(outlines), 1))])
         ends = _images(camera, np.concatenate([ends_mm, outlines]))
         ends, part = _cut_back(ends, part, detector, generator)
-        found = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) >= max(detector.shortest_px, 1e-9)
-        ends, part, owner = ends[found], part[found], owner[found]
+        is_long = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) >= max(detector.shortest_px, 1e-9)
+        ends, part, owner = ends[is_long], part[is_long], owner[is_long]
         stray = _strays(camera, round(detector.spurious_share * len(ends)), generator)
         ends = np.concatenate([ends, stray])
         ends = ends + detector.end_sigma_px * generator.normal(size=ends.shape)
@@ -120,7 +120,7 @@ def _cut_back(
 
 
 def _strays(camera: Camera, count: int, generator: np.random.Generator) -> np.ndarray:
-    """Segments of 10 to 80 px anywhere in the picture, as far as they fit."""
+    """Segments of 10 to 80 px at random positions, with ends clipped to the picture."""
     size = np.array(camera.image_size_px, dtype=np.float64)
     middle = generator.uniform(0.0, 1.0, (count, 2)) * size
     angle = generator.uniform(0.0, np.pi, count)

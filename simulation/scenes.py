@@ -11,7 +11,7 @@ from trinoc.synth.visibility import VisibleParts, visible_parts
 
 
 class Scene(eqx.Module):
-    """Edges in space, and what hides them.
+    """Edges in space, and the solids that hide them.
 
     Fields
     ------
@@ -39,7 +39,7 @@ class Scene(eqx.Module):
 
     @classmethod
     def of_edges(cls, edges_mm: Float[np.ndarray, "m 2 3"]) -> "Scene":
-        """A scene of edges alone, all of them seen from everywhere."""
+        """A scene of edges alone, visible from everywhere."""
         count = len(edges_mm)
         return cls(edges_mm, (EDGE,) * count, np.arange(count), ())
 
@@ -55,7 +55,7 @@ class Scene(eqx.Module):
         return visible_parts(camera, self.edges_mm, self.triangles_mm)
 
     def silhouettes_seen_by(self, camera: Camera) -> Float[np.ndarray, "s 2 3"]:
-        """Visible parts of the lines that only this camera takes for edges, ends in space."""
+        """Visible parts of the solids' silhouettes for this camera, as ends in space."""
         lines = [solid.silhouette_mm(camera.centre_world_mm) for solid in self.solids]
         if not lines:
             return np.zeros((0, 2, 3))
@@ -99,22 +99,22 @@ def block_scene(
     for index in range(count):
         kind = index if index < 4 else int(generator.integers(4))
         solid, radius, top = _random_solid(kind, generator, cylinder_sides)
-        place = _free_place(generator, taken, radius, reach_mm)
-        if place is None:
+        position_mm = _free_place(generator, taken, radius, reach_mm)
+        if position_mm is None:
             continue
-        taken.append((place, radius))
+        taken.append((position_mm, radius))
         turn = float(generator.uniform(0.0, 360.0))
-        solids.append(solid.place(turn_deg=turn, shift_mm=np.append(place, 0.0)))
+        solids.append(solid.place(turn_deg=turn, shift_mm=np.append(position_mm, 0.0)))
         if top is not None and generator.random() < 0.4:
             size = generator.uniform(0.5, 0.8, 3) * min(top[:2])
             upper = box((float(size[0]), float(size[1]), float(size[2])))
             turn += float(generator.uniform(20.0, 70.0))
-            solids.append(upper.place(turn_deg=turn, shift_mm=np.append(place, top[2])))
+            solids.append(upper.place(turn_deg=turn, shift_mm=np.append(position_mm, top[2])))
     return Scene.of_solids(tuple(solids))
 
 
 def see_through_boxes(seed: int, *, count: int, reach_mm: float = 80.0) -> Scene:
-    """Boxes of which every edge is seen: junctions and parallels without hidden lines."""
+    """Boxes whose every edge is visible: junctions and parallels without hidden lines."""
     generator = np.random.default_rng(seed)
     edges = []
     for _ in range(count):
@@ -141,7 +141,7 @@ def loose_segments(seed: int, *, count: int, reach_mm: float = 80.0) -> Scene:
 def _random_solid(
     kind: int, generator: np.random.Generator, cylinder_sides: int
 ) -> tuple[Solid, float, tuple[float, float, float] | None]:
-    """A solid on the Z axis, the radius of its footprint, and what a box may stand on."""
+    """A solid on the Z axis, its footprint's radius, and the size of its top for a box."""
     x, y, z = (float(value) for value in generator.uniform((28, 22, 14), (56, 44, 40)))
     radius = float(np.hypot(x, y)) / 2
     if kind == 0:
@@ -163,10 +163,10 @@ def _free_place(
     radius_mm: float,
     reach_mm: float,
 ) -> Float[np.ndarray, "2"] | None:
-    """A place in the reach whose footprint is 3 mm clear of all others; None if none is found."""
+    """A position within reach, 3 mm clear of all other footprints; None if none is found."""
     for _ in range(500):
-        place = generator.uniform(-reach_mm, reach_mm, 2)
-        clear = all(np.hypot(*(place - p)) > radius_mm + r + 3.0 for p, r in taken)
-        if clear and np.hypot(*place) < reach_mm:
-            return place
+        position_mm = generator.uniform(-reach_mm, reach_mm, 2)
+        clear = all(np.hypot(*(position_mm - p)) > radius_mm + r + 3.0 for p, r in taken)
+        if clear and np.hypot(*position_mm) < reach_mm:
+            return position_mm
     return None

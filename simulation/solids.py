@@ -52,11 +52,11 @@ class Polyhedron(eqx.Module):
 
     @property
     def edge_kinds(self) -> tuple[str, ...]:
-        """What each edge is: always "edge"."""
+        """Kind of each edge: always "edge"."""
         return (EDGE,) * len(self.edges_mm)
 
     def silhouette_mm(self, centre_world_mm: Float[np.ndarray, "3"]) -> Float[np.ndarray, "s 2 3"]:
-        """Lines that only look like edges from one viewpoint: none."""
+        """Silhouette lines that depend on the viewpoint: none."""
         return np.zeros((0, 2, 3))
 
     def place(self, *, turn_deg: float, shift_mm: Float[np.ndarray, "3"]) -> "Polyhedron":
@@ -66,7 +66,7 @@ class Polyhedron(eqx.Module):
 
 
 class Cylinder(eqx.Module):
-    """An upright cylinder; `sides` facets stand for its mantle, and chords for its rims."""
+    """An upright cylinder with `sides` facets as its mantle and chords as its rims."""
 
     base_centre_mm: Float[np.ndarray, "3"]
     radius_mm: float
@@ -99,7 +99,7 @@ class Cylinder(eqx.Module):
 
     @property
     def edge_kinds(self) -> tuple[str, ...]:
-        """What each edge is: always "rim"."""
+        """Kind of each edge: always "rim"."""
         return (RIM,) * (2 * self.sides)
 
     def silhouette_mm(self, centre_world_mm: Float[np.ndarray, "3"]) -> Float[np.ndarray, "s 2 3"]:

@@ -1,4 +1,4 @@
-"""What `golden.py` runs: a file for each area of the package, the inputs, and what is recorded."""
+"""Parts of `golden.py`: a file for each area of the package, the inputs and the records."""
 
 from golden_parts.calibration import (
     calibrate_circles,

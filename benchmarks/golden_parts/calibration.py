@@ -19,9 +19,11 @@ from trinoc.synth import table1_lens, table1_rig
 def calibrate_circles() -> Values:
     """The demo's sheet by the centres of its circles; detections, a plain grid."""
     pattern, images, lens = demo_pattern(), demo_images("sheet"), table1_lens()
-    found = {view: trinoc.calib.detect_pattern(image, pattern) for view, image in images.items()}
-    for view, own in found.items():
-        yield from records.detection(view, own)
+    detections = {
+        view: trinoc.calib.detect_pattern(image, pattern) for view, image in images.items()
+    }
+    for view, detection in detections.items():
+        yield from records.detection(view, detection)
     results = {}
     for label, options in {
         "typical": {},
@@ -30,16 +32,16 @@ def calibrate_circles() -> Values:
         "exact six": {"systematics": EXACT, "pose_model": "aim-free"},
         "terms": {"systematics": TERMS},
     }.items():
-        results[label] = calibrate_detections(found, pattern, lens, **options)
+        results[label] = calibrate_detections(detections, pattern, lens, **options)
         yield from records.calibration(label, results[label])
-    given = {"systematics": EXACT, "method": "points"}
-    from_images = trinoc.calibrate(images, pattern, lens, **given)
+    arguments = {"systematics": EXACT, "method": "points"}
+    from_images = trinoc.calibrate(images, pattern, lens, **arguments)
     yield from records.calibration("images", from_images)
     carried = trinoc.calib.with_systematics(results["exact"], TERMS)
     yield from records.calibration("carried", carried)
     change = compare_rigs(results["typical"], results["exact six"])
     yield "compared.sentences", change.sentences
-    yield "compared.sigmas", [own.sigmas for own in change.cameras.values()]
+    yield "compared.sigmas", [camera.sigmas for camera in change.cameras.values()]
     yield from _uncertainty(results)
     yield from _plain_grid()
 
@@ -54,7 +56,7 @@ def _uncertainty(results) -> Values:
 
 
 def _plain_grid() -> Values:
-    """A sheet that looks the same turned: refused, or as the user says it lies."""
+    """A sheet that looks the same after a turn: refused, or oriented by the user."""
     grid = trinoc.Pattern.circle_grid(rows=6, columns=7, pitch_mm=20.0, radius_mm=6.0)
     rig = table1_rig()
     images = {name: render_sheet(grid, camera, seed=3) for name, camera in rig.items()}
@@ -93,12 +95,12 @@ def calibrate_delivered() -> Values:
 
 
 def calibrate_lit() -> Values:
-    """Pictures under light that is not even, or too much, and of more than eight bits."""
+    """Pictures under uneven or too strong light, and pictures of more than eight bits."""
     yield from _conditions("vignette and broad glare", "overexposed", "16 bit")
 
 
 def calibrate_suspect() -> Values:
-    """What the model refutes: lenses that are not as said, bent paper, covered sheets."""
+    """Conditions that the model refutes: wrong lenses, bent paper, covered sheets."""
     yield from _conditions(
         *("focal length .05 % off", "aim .1 mm off", "bent .3 mm", "print 1 % larger", "card"),
         *("correlated noise", "principal point 5 px off, six"),
@@ -116,18 +118,18 @@ def _conditions(*names: str) -> Values:
     for name in names:
         picture, lens, condition = delivered(name)
         yield f"{name}.inputs", digest(picture)
-        told = condition.told
-        options = {} if told.exact == "nothing" else {"systematics": EXACT}
+        settings = condition.told
+        options = {} if settings.exact == "nothing" else {"systematics": EXACT}
         call = partial(
-            trinoc.calibrate, {"a": picture}, pattern, lens, bayer=told.bayer,
-            pose_model="aimed" if told.parameters == 4 else "aim-free",
-            response=told.response, **options,
+            trinoc.calibrate, {"a": picture}, pattern, lens, bayer=settings.bayer,
+            pose_model="aimed" if settings.parameters == 4 else "aim-free",
+            response=settings.response, **options,
         )  # fmt: skip
         yield from attempt(name, call, records.calibration)
 
 
 def points() -> Values:
-    """One camera from points of known places, planar and not, with all that may be free."""
+    """One camera from known points, planar and not, with every choice of free parameters."""
     generator = np.random.default_rng(3)
     solid = generator.uniform(-80, 80, (60, 3))
     flat = np.column_stack([generator.uniform(-80, 80, (40, 2)), np.zeros(40)])
@@ -139,7 +141,7 @@ def points() -> Values:
     )
     everything = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2")
     bare = {"image_size_px": lens.image_size_px}
-    for label, places, given, options in (
+    for label, points_mm, intrinsics, options in (
         ("solid", solid, lens, {}),
         ("solid exact", solid, lens, {"systematics": EXACT}),
         ("solid aim-free", solid, lens, {"pose_model": "aim-free"}),
@@ -157,12 +159,12 @@ def points() -> Values:
         ("three points", solid[:3], lens, {}),
         ("one line", solid[:1] + np.arange(9)[:, None] * [1.0, 2, 3], lens, {}),
     ):
-        image = places @ camera.matrix_px[:, :3].T + camera.matrix_px[:, 3]
-        seen = image[:, :2] / image[:, 2:]
-        seen = seen + 0.1 * np.random.default_rng(9).standard_normal(seen.shape)
+        image = points_mm @ camera.matrix_px[:, :3].T + camera.matrix_px[:, 3]
+        pixels = image[:, :2] / image[:, 2:]
+        pixels = pixels + 0.1 * np.random.default_rng(9).standard_normal(pixels.shape)
         if label == "solid":
-            seen[7] += 12.0
-        call = partial(trinoc.calibrate_points, places, seen, given, **options)
+            pixels[7] += 12.0
+        call = partial(trinoc.calibrate_points, points_mm, pixels, intrinsics, **options)
         yield from attempt(label, call, records.points_calibration)
 
 

@@ -1,4 +1,4 @@
-"""Edges of single pictures: segments, junctions, and whether a picture is good."""
+"""Edges of single pictures: segments, junctions and image quality."""
 
 import numpy as np
 
@@ -27,9 +27,9 @@ def segments() -> Values:
     """Segments of the demo, and of saturated, curved, coloured, 16 bit and encoded pictures."""
     images = demo_images("scene")
     upper = images["upper"]
-    for view, found in demo_segments().items():
-        yield from records.segments(view, found)
-        junctions = find_junctions(found)
+    for view, view_segments in demo_segments().items():
+        yield from records.segments(view, view_segments)
+        junctions = find_junctions(view_segments)
         yield from records.fields(f"{view}.junctions", junctions, ("uv_px", "covariance_px2"))
     colour = np.stack([upper, images["left"], images["right"]], axis=-1)
     light = upper.astype(float) / 255
@@ -61,7 +61,7 @@ def segments() -> Values:
 
 
 def capture() -> Values:
-    """Qualities of good and of bad pictures."""
+    """Quality reports of good and of bad pictures."""
     sheet, demo = trinoc.Pattern.default(), demo_images("sheet")
     pictures = {name: delivered(name)[0] for name in ("reference", "overexposed", "16 bit", "card")}
     pictures["blur 2 px"] = delivered("blur 2 px")[0]

@@ -23,7 +23,7 @@ ENDINGS = {"rig": ".json", "lens": ".json", "segments": ".npz"}
 
 
 def exports() -> Values:
-    """What each format of other tools, and our own, make of the same values."""
+    """Files that each format of other tools, and our own, write for the same values."""
     values = dict(_values())
     for name, format_ in FORMATS.items():
         for kind, value in values.items():
@@ -41,7 +41,7 @@ def exports() -> Values:
 
 
 def _values() -> Values:
-    """A value of each kind that files hold; made without a fit, so that these do not move."""
+    """A value of each kind that files hold, made without a fit so that the values stay equal."""
     rig = knocked_rig()
     keys = [f"{name}.{key}" for name in rig.names for key in ("pan_deg", "distance_mm")]
     covariance = 1e-4 * (np.eye(len(keys)) + 0.1)
@@ -66,7 +66,7 @@ def _written(name: str, kind: str, format_: Any, value: Any) -> Values:
         except TrinocError as error:
             yield f"{name}.{kind}.refusal", str(error).replace(folder, "")
             return
-        inside = sorted(each for each in path.rglob("*") if each.is_file())
+        inside = sorted(file for file in path.rglob("*") if file.is_file())
         for file in inside or [path]:
             yield f"{name}.{kind}.{file.name}", _content(file, folder)
         yield f"{name}.{kind}.lost", format_.lost(value)
@@ -84,12 +84,12 @@ def _own_file(name: str, value: Any, path: Path) -> Values:
                 yield f"{name}.{key}", file[key]
     else:
         yield name, _content(path, str(path.parent))
-    again = trinoc.load(path)
-    yield f"{name}.again", isinstance(again, Rig | Intrinsics | Table)
+    reloaded = trinoc.load(path)
+    yield f"{name}.again", isinstance(reloaded, Rig | Intrinsics | Table)
 
 
 def _content(file: Path, folder: str) -> str:
-    """The text of a file without the day and place of its writing; of other bytes their digest."""
+    """Text of a file without its date and folder; for binary files, their digest."""
     data = file.read_bytes()
     if file.suffix == ".mat":
         data = data[128:]  # the header holds the day

@@ -32,8 +32,8 @@ SIGMA_PX = {"sheet": 0.02, "chessboard": 0.1, "charuco": 0.1, "aprilgrid": 0.1}
 
 
 def digest(*pictures: np.ndarray) -> int:
-    """A number that changes with any grey level: whether inputs are those that were frozen."""
-    return zlib.crc32(b"".join(np.ascontiguousarray(each).tobytes() for each in pictures))
+    """Checksum of the grey levels, to test that the inputs are the frozen ones."""
+    return zlib.crc32(b"".join(np.ascontiguousarray(picture).tobytes() for picture in pictures))
 
 
 @cache
@@ -88,7 +88,7 @@ def five_view_rig() -> trinoc.Rig:
 
 @cache
 def delivered(name: str, seed: int = 1) -> tuple[np.ndarray, trinoc.Intrinsics, Case]:
-    """(picture, lens as it is said to be, condition) of a named way in which cameras deliver."""
+    """(picture, stated lens, condition) of a named condition."""
     condition, ideal = CONDITIONS[name], table1_lens()
     camera = condition.camera(ideal, POSE)
     picture = camera_picture(trinoc.Pattern.default(), camera, condition, seed=seed)
@@ -98,10 +98,10 @@ def delivered(name: str, seed: int = 1) -> tuple[np.ndarray, trinoc.Intrinsics, 
 def shots(
     title: str, cameras: tuple[str, ...], count: int, seed: int = 0
 ) -> dict[str, list[Detection | None]]:
-    """Places of a moved board as a detector with noise reports them."""
+    """Simulated detections of a moved board, with noise, by camera and shot."""
     random = np.random.default_rng(seed)
-    found = observed(TARGETS[title], SIGMA_PX[title], boards(count, random), random)
-    return {name: found[name] for name in cameras}
+    detections = observed(TARGETS[title], SIGMA_PX[title], boards(count, random), random)
+    return {name: detections[name] for name in cameras}
 
 
 def set_of_boards() -> tuple[trinoc.calib.BoardSet, dict[str, list[Detection]]]:
@@ -116,17 +116,17 @@ def set_of_boards() -> tuple[trinoc.calib.BoardSet, dict[str, list[Detection]]]:
     cams = [np.eye(3, 4), np.column_stack([back, -back @ [60.0, 20.0, 1150.0]])]
     in_set = [np.eye(3, 4), np.column_stack([rotation([0.0, np.pi - 0.06, 0.0]), [9.0, 4, -60]])]
     random = np.random.default_rng(3)
-    found: dict[str, list[Detection]] = {"left": [], "right": []}
+    detections: dict[str, list[Detection]] = {"left": [], "right": []}
     for pose in boards(8, random):
         first = 0
         for camera, cam, board_in_set, board in zip(
-            found, cams, in_set, target.boards, strict=True
+            detections, cams, in_set, target.boards, strict=True
         ):
             both = _chained(cam, _chained(pose, board_in_set))
             lens = BrownConrady.from_parameters(np.array(LENSES[camera]))
-            found[camera].append(_seen_places(lens, both, board, first, random))
+            detections[camera].append(_simulated_detection(lens, both, board, first, random))
             first += len(board)
-    return target, found
+    return target, detections
 
 
 def _chained(second: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -134,7 +134,7 @@ def _chained(second: np.ndarray, first: np.ndarray) -> np.ndarray:
     return np.column_stack([turn, second[:, :3] @ first[:, 3] + second[:, 3]])
 
 
-def _seen_places(lens, cam_from_board, board, first: int, random) -> Detection:
+def _simulated_detection(lens, cam_from_board, board, first: int, random) -> Detection:
     import jax
 
     with jax.enable_x64(True):
@@ -158,11 +158,14 @@ def board_pictures(title: str, cameras: tuple[str, ...], count: int) -> dict[str
     pictures = {}
     for name in cameras:
         lens = PERSPECTIVE.lens(name)
-        places = [PERSPECTIVE.cam_from_board(name, pose) for pose in poses]
-        clean = [rendered(TARGETS[title], lens, place, fine=4) for place in places]
+        cams_from_board = [PERSPECTIVE.cam_from_board(name, pose) for pose in poses]
+        clean = [
+            rendered(TARGETS[title], lens, cam_from_board, fine=4)
+            for cam_from_board in cams_from_board
+        ]
         pictures[name] = [
-            np.rint(np.clip(each + NOISE * random.normal(size=each.shape), 0, 255)).astype("u1")
-            for each in clean
+            np.rint(np.clip(image + NOISE * random.normal(size=image.shape), 0, 255)).astype("u1")
+            for image in clean
         ]
     return pictures
 

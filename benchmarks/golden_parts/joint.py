@@ -1,4 +1,4 @@
-"""Cameras and lines refined together, and whether a rig still stands as it did."""
+"""Joint refinement of cameras and lines, and the test for knocked cameras."""
 
 from functools import partial
 
@@ -39,8 +39,8 @@ def refine() -> Values:
     ):
         call = partial(trinoc.refine, rig, matches, **options)
         yield from attempt(label, call, records.refinement)
-    again = partial(trinoc.match_segments, demo_segments())
-    call = partial(trinoc.refine, calibrated, matches, match_again=again)
+    rematch = partial(trinoc.match_segments, demo_segments())
+    call = partial(trinoc.refine, calibrated, matches, match_again=rematch)
     yield from attempt("matched again", call, records.refinement)
     two = {view: demo_segments()[view] for view in ("upper", "left")}
     pairs = trinoc.match_segments(two, calibrated.rig)
@@ -67,7 +67,7 @@ def refine_made() -> Values:
 
 
 def rig_check() -> Values:
-    """A rig that stands, one whose camera was knocked, and a scene that does not tell."""
+    """An unchanged rig, one with a knocked camera, and a scene that is inconclusive."""
     calibrated, segments = calibrated_demo(), demo_segments()
     yield from records.check("stands", trinoc.check_rig(calibrated.rig, demo_matches()))
     knocked = _turned(calibrated.rig, "left", 0.15)
@@ -75,10 +75,13 @@ def rig_check() -> Values:
     loose = trinoc.match_segments(segments, knocked, sigma_px=1.5)
     call = partial(trinoc.check_rig, knocked, loose)
     yield from attempt("knocked", call, records.check)
-    again = [partial(trinoc.match_segments, segments, sigma_px=2.0), match]
-    call = partial(trinoc.check_rig, knocked, loose, match_again=again)
+    rematches = [partial(trinoc.match_segments, segments, sigma_px=2.0), match]
+    call = partial(trinoc.check_rig, knocked, loose, match_again=rematches)
     yield from attempt("knocked, matched again", call, records.check)
-    few = {view: _rows(own, np.arange(0, len(own), 6)) for view, own in segments.items()}
+    few = {
+        view: _rows(view_segments, np.arange(0, len(view_segments), 6))
+        for view, view_segments in segments.items()
+    }
     matches = trinoc.match_segments(few, calibrated.rig)
     call = partial(trinoc.check_rig, calibrated.rig, matches)
     yield from attempt("few lines", call, records.check)

@@ -1,4 +1,4 @@
-"""Matches, and what is made of them: measured, straight lines, corners, frames, rims."""
+"""Matches, and results from them: measured and straight lines, corners, frames, rims."""
 
 import os
 from collections.abc import Iterator
@@ -38,7 +38,10 @@ def matching() -> Values:
     yield from records.matches("three", demo_matches())
     two = {view: segments[view] for view in ("upper", "left")}
     yield from records.matches("two", trinoc.match_segments(two, rig))
-    ends = {view: np.asarray(own.endpoints_px).reshape(-1, 4) for view, own in segments.items()}
+    ends = {
+        view: np.asarray(view_segments.endpoints_px).reshape(-1, 4)
+        for view, view_segments in segments.items()
+    }
     bare = trinoc.match_segments(ends, rig, sigma_px=0.7, depth_range_mm=(350.0, 600.0))
     yield from records.matches("bare", bare)
     five = five_view_rig()
@@ -64,8 +67,8 @@ def made() -> Values:
         two = {view: frames[label][view] for view in ("upper", "left")}
         yield from records.matches(f"{label}.two", trinoc.match_segments(two, rig))
     batch = match_many(list(frames.values()), rig)
-    for label, found in zip(frames, batch.matches, strict=True):
-        yield from records.matches(f"batch.{label}", found)
+    for label, matches in zip(frames, batch.matches, strict=True):
+        yield from records.matches(f"batch.{label}", matches)
 
 
 def measured_lines() -> Values:
@@ -78,8 +81,8 @@ def measured_lines() -> Values:
         ("srgb", images, {"response": "srgb"}),
         ("saturated", bright, {}),
     ):
-        found = trinoc.match.measure_lines(plain, segments, rig, pictures, **options)
-        yield from records.matches(label, found)
+        matches = trinoc.match.measure_lines(plain, segments, rig, pictures, **options)
+        yield from records.matches(label, matches)
 
 
 def _brighter(image: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Which numbers and sentences of each answer are frozen, as (name, array) pairs."""
+"""Frozen numbers and sentences of each result, as (name, array) pairs."""
 
 import enum
 from collections.abc import Callable, Iterator, Mapping
@@ -27,29 +27,31 @@ FIT = ("status", "parameters", "values", "covariance")
 
 
 def array_of(value: Any) -> np.ndarray:
-    """Numbers as they are, those of unequal shapes in a row; words, statuses, mappings as text."""
+    """Array of a value: numbers unchanged, unequal shapes flattened; other values as text."""
     match value:
         case None:
             return np.array("none")
         case enum.Enum():
             return np.array(value.name)
         case Mapping():
-            return np.array([f"{key}: {array_of(own)}" for key, own in value.items()], dtype=str)
+            return np.array(
+                [f"{key}: {array_of(entry)}" for key, entry in value.items()], dtype=str
+            )
         case tuple() | list() if not value or isinstance(value[0], str):
             return np.array(value, dtype=str)
-        case tuple() | list() if len({np.shape(own) for own in value}) > 1:
-            return np.concatenate([np.ravel(own) for own in value])
+        case tuple() | list() if len({np.shape(entry) for entry in value}) > 1:
+            return np.concatenate([np.ravel(entry) for entry in value])
     return np.asarray(value)
 
 
 def fields(prefix: str, value: Any, names: tuple[str, ...]) -> Values:
-    """The named attributes of an answer; one that is gone is a difference and no end."""
+    """Named attributes of a result. A missing attribute is recorded and raises nothing."""
     for name in names:
         yield f"{prefix}.{name}", getattr(value, name, "no such field")
 
 
 def attempt(prefix: str, call: Callable[[], Any], record: Callable[[str, Any], Values]) -> Values:
-    """An answer, or the sentence with which it was refused."""
+    """The result of a call, or the message of its exception."""
     try:
         value = call()
     except TrinocError as error:
@@ -58,32 +60,32 @@ def attempt(prefix: str, call: Callable[[], Any], record: Callable[[str, Any], V
         yield from record(prefix, value)
 
 
-def detection(prefix: str, found: Any) -> Values:
-    """Places that a detector found."""
+def detection(prefix: str, result: Any) -> Values:
+    """Positions that a detector reports."""
     names = ("circle_index", "centres_px", "covariance_px2", "shape_px2", "lines_px")
-    yield from fields(prefix, found, names)
+    yield from fields(prefix, result, names)
 
 
 def calibration(prefix: str, result: Any) -> Values:
-    """A CalibrationResult with everything that each camera's fit says of itself."""
+    """A CalibrationResult with all fields of each camera's fit."""
     yield from fields(prefix, result, (*FIT, "failures", "systematics", "notes"))
     yield f"{prefix}.summary", result.summary()
     yield from rig(f"{prefix}.rig", result.rig)
     for name, fit in result.fits.items():
-        own = f"{prefix}.{name}"
+        camera_prefix = f"{prefix}.{name}"
         names = ("method", "used", "residuals_px", "rank", "gauge", "reduced_chi_square", "notes")
-        yield from fields(own, fit, names)
+        yield from fields(camera_prefix, fit, names)
         for other in fit.fixed_parameter_tests:
             names = ("chi_square_drop", "p_value", "estimate", "sigma", "sentence")
-            yield from fields(f"{own}.{other.name}", other, names)
+            yield from fields(f"{camera_prefix}.{other.name}", other, names)
         if fit.image is not None:
             names = ("noise", "noise_floor", "pixels", "pixels_cut", "blur_px", "ink_spread_mm")
             names += ("ink_over_paper", "found", "bound")
-            yield from fields(f"{own}.image", fit.image, names)
+            yield from fields(f"{camera_prefix}.image", fit.image, names)
 
 
 def rig(prefix: str, value: Any) -> Values:
-    """Projections, and the covariance that travels with them."""
+    """Projection matrices of a rig and its covariance."""
     yield f"{prefix}.matrices_px", value.matrices_px
     yield from fields(prefix, value, ("names", "parameters", "covariance"))
 
@@ -107,9 +109,9 @@ def _numbers_of(camera: Any) -> dict[str, float]:
     """Pose and lens by the names of parameters; turns are those from the paper's right camera."""
     reference = np.asarray(table1_rig()["right"].cam_from_world)[:, :3]
     turn = cv2.Rodrigues(np.asarray(camera.cam_from_world)[:, :3] @ reference.T)[0].ravel()
-    numbers = {f"turn_{axis}_deg": np.degrees(own) for axis, own in zip("xyz", turn)}
-    numbers |= {f"centre_{axis}_mm": own for axis, own in zip("xyz", camera.centre_world_mm)}
-    numbers |= {f"aim_{axis}_mm": own for axis, own in zip("xy", camera.aim_mm)}
+    numbers = {f"turn_{axis}_deg": np.degrees(value) for axis, value in zip("xyz", turn)}
+    numbers |= {f"centre_{axis}_mm": value for axis, value in zip("xyz", camera.centre_world_mm)}
+    numbers |= {f"aim_{axis}_mm": value for axis, value in zip("xy", camera.aim_mm)}
     for name in ("pan_deg", "tilt_deg", "swing_deg", "distance_mm"):
         numbers[name] = getattr(camera, name)
     lens = camera.intrinsics.lens
@@ -170,7 +172,7 @@ def refinement(prefix: str, result: Any) -> Values:
 
 
 def check(prefix: str, result: Any) -> Values:
-    """Whether a camera was knocked."""
+    """Test for knocked cameras."""
     yield from fields(prefix, result, ("moved", "conclusive"))
     yield f"{prefix}.summary", result.summary()
     for motion in result.motions:
@@ -180,15 +182,15 @@ def check(prefix: str, result: Any) -> Values:
         yield from refinement(f"{prefix}.refined", result.refined)
 
 
-def segments(prefix: str, found: Any) -> Values:
+def segments(prefix: str, result: Any) -> Values:
     """Segments of one picture."""
-    yield from fields(prefix, found, SEGMENTS)
+    yield from fields(prefix, result, SEGMENTS)
 
 
-def matches(prefix: str, found: Any) -> Values:
+def matches(prefix: str, result: Any) -> Values:
     """Tracks of one scene."""
-    yield from fields(prefix, found, MATCHES)
+    yield from fields(prefix, result, MATCHES)
     for name in MARKS:
-        yield f"{prefix}.{name}", found.marks.get(name)
-    for view, words in found.reasons.items():
-        yield f"{prefix}.reasons.{view}", words
+        yield f"{prefix}.{name}", result.marks.get(name)
+    for view, reasons in result.reasons.items():
+        yield f"{prefix}.reasons.{view}", reasons

@@ -1,4 +1,4 @@
-"""Lenses and rigs from many shots: places on every kind of board, and grey levels on a few."""
+"""Lenses and rigs from many shots: corners of every kind of board, grey levels of a few."""
 
 from functools import partial
 
@@ -26,14 +26,14 @@ TWO, THREE = ("left", "right"), ("left", "middle", "right")
 
 
 def lens() -> Values:
-    """A lens from made pictures of the sheet: circles and grey levels, and what may be held."""
+    """A lens from simulated pictures of the sheet: circles, grey levels, fixed parameters."""
     noise = np.random.default_rng(6)
     images = [image_of(LENS, pose) for pose in random_poses(5, 5)]
     images = [np.rint(np.clip(p + 2 * noise.normal(size=p.shape), 0, 255)) for p in images]
     images = [image.astype(np.uint8) for image in images]
     yield "inputs", digest(*images)
     sheet = trinoc.Pattern.default()
-    found = [trinoc.calib.detect_pattern(image, sheet) for image in images]
+    detections = [trinoc.calib.detect_pattern(image, sheet) for image in images]
     for label, options in {
         "default": {},
         "two coefficients": {"distortion": 2},
@@ -41,19 +41,19 @@ def lens() -> Values:
         "held middle": {"principal_point": "centre", "aspect": "pitch", "distortion": 1},
         "fisheye": {"lens_model": "kannala_brandt", "distortion": 2},
     }.items():
-        call = partial(trinoc.calibrate_intrinsics, found, sheet, throw=False, **options)
+        call = partial(trinoc.calibrate_intrinsics, detections, sheet, throw=False, **options)
         yield from attempt(label, call, records.lens_calibration)
-    for label, given in {"one picture": found[:1], "two pictures": found[:2]}.items():
-        kept = trinoc.calibrate_intrinsics(given, sheet, throw=False)
-        yield from records.lens_calibration(label, kept)
-        call = partial(trinoc.calibrate_intrinsics, given, sheet)
+    for label, subset in {"one picture": detections[:1], "two pictures": detections[:2]}.items():
+        result = trinoc.calibrate_intrinsics(subset, sheet, throw=False)
+        yield from records.lens_calibration(label, result)
+        call = partial(trinoc.calibrate_intrinsics, subset, sheet)
         yield from attempt(f"{label} thrown", call, records.lens_calibration)
     by_pixels = trinoc.calibrate_intrinsics(images, sheet, method="pixels")
     yield from records.lens_calibration("pixels", by_pixels)
 
 
 def rig_points() -> Values:
-    """Rigs from places of all boards, of two and three cameras, and few or wrong shots."""
+    """Rigs from corners of all boards, of two and three cameras, and few or wrong shots."""
     for title in TARGETS:
         yield from _rig(title, title, TWO, 6)
     yield from _rig("three cameras", "chessboard", THREE, 5, systematics=EXACT)
@@ -64,22 +64,22 @@ def rig_points() -> Values:
     moved["right"][2] = moved["right"][5]
     call = partial(trinoc.calibrate_rig, moved, TARGETS["chessboard"])
     yield from attempt("another moment", call, records.rig_of_shots)
-    apart = shots("chessboard", TWO, 6, seed=5)
-    apart["left"][3:] = apart["right"][:3] = [None] * 3
-    call = partial(trinoc.calibrate_rig, apart, TARGETS["chessboard"])
+    disjoint = shots("chessboard", TWO, 6, seed=5)
+    disjoint["left"][3:] = disjoint["right"][:3] = [None] * 3
+    call = partial(trinoc.calibrate_rig, disjoint, TARGETS["chessboard"])
     yield from attempt("no shot in common", call, records.rig_of_shots)
-    target, found = set_of_boards()
-    call = partial(trinoc.calibrate_rig, found, target, distortion=4)
+    target, detections = set_of_boards()
+    call = partial(trinoc.calibrate_rig, detections, target, distortion=4)
     yield from attempt("board set", call, _rig_of_set)
 
 
 def rig_options() -> Values:
-    """Rigs of which something is known, shared or held."""
+    """Rigs with given, shared or fixed parameters."""
     yield from _rig("same lens", "charuco", TWO, 6, same_lens=True, distortion=2)
     yield from _rig("fisheye model", "chessboard", TWO, 6, lens_model="kannala_brandt")
     yield from _rig("world left", "sheet", TWO, 6, world="left", distortion=4)
-    held = Intrinsics.of_lens(BrownConrady.from_parameters(np.array(LEFT)), (640, 480))
-    yield from _rig("left held", "chessboard", TWO, 6, lens={"left": held})
+    left_lens = Intrinsics.of_lens(BrownConrady.from_parameters(np.array(LEFT)), (640, 480))
+    yield from _rig("left held", "chessboard", TWO, 6, lens={"left": left_lens})
     terms = trinoc.Systematics(print_size_sigma=0.002, flatness_mm=0.3)
     yield from _rig("terms", "aprilgrid", TWO, 6, systematics=terms)
 
@@ -88,13 +88,13 @@ LEFT = (800.0, 805.0, 322.0, 236.0, -0.20, 0.06, 0.001, -0.0005, 0.0)
 
 
 def _rig(label: str, title: str, cameras: tuple[str, ...], count: int, **options) -> Values:
-    found = shots(title, cameras, count, seed=len(label))
-    call = partial(trinoc.calibrate_rig, found, TARGETS[title], throw=False, **options)
+    detections = shots(title, cameras, count, seed=len(label))
+    call = partial(trinoc.calibrate_rig, detections, TARGETS[title], throw=False, **options)
     yield from attempt(label, call, _with_advice if label in SIGMA_PX else records.rig_of_shots)
 
 
 def _with_advice(prefix: str, result: CalibrationResult) -> Values:
-    """A rig, its sigma over the field, and the shot that would tell most."""
+    """A rig, its sigma over the field, and the most informative next shot."""
     yield from records.rig_of_shots(prefix, result)
     if not result.has_rig:
         return
@@ -115,7 +115,10 @@ def rig_pixels() -> Values:
     """Rigs of two cameras from the grey levels of four shots: the sheet, and a ChArUco board."""
     for title in ("sheet", "charuco"):
         pictures = board_pictures(title, TWO, 4)
-        yield f"{title}.inputs", digest(*(each for own in pictures.values() for each in own))
+        yield (
+            f"{title}.inputs",
+            digest(*(image for images in pictures.values() for image in images)),
+        )
         call = partial(
             trinoc.calibrate_rig, pictures, TARGETS[title], method="pixels", distortion=2
         )

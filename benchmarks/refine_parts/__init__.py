@@ -1,1 +1,1 @@
-"""What `refine.py` runs: a file for each table."""
+"""Parts of `refine.py`: a file for each table."""

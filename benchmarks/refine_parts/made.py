@@ -1,4 +1,4 @@
-"""Disturbed rigs, coverage of 3-D segments, a sheet helped by segments; matches are given.
+"""Disturbed rigs, coverage of 3-D segments, and a sheet with segments; all matches are given.
 
 Lines about the paper's rig are projected, and noise drawn from the claimed covariance; wrong
 matches get another segment's fragment in one view.
@@ -35,7 +35,7 @@ def projected(matrices: np.ndarray, ends_mm: np.ndarray) -> np.ndarray:
 def made_lines(
     random: np.random.Generator, tracks: int, sigma_px: float, wrong: float, reach_mm: float = 70
 ) -> tuple[LineObservations, np.ndarray, np.ndarray]:
-    """(observations, true ends, which are wrong); a fifth of the tracks is seen in two views."""
+    """(observations, true ends, mask of wrong ones); a fifth of the tracks has only two views."""
     middle = random.uniform(-reach_mm, reach_mm, (tracks, 3))
     middle[:, 2] = np.abs(middle[:, 2])
     direction = random.standard_normal((tracks, 3))
@@ -51,28 +51,30 @@ def made_lines(
     bad = random.random(tracks) < wrong
     view = random.integers(0, 3, bad.sum())
     fragments[bad, view] = fragments[random.permutation(tracks)[: bad.sum()], view]
-    seen = np.ones((tracks, 3), dtype=bool)
+    is_seen = np.ones((tracks, 3), dtype=bool)
     hidden = np.flatnonzero((random.random(tracks) < 0.2) & ~bad)
-    seen[hidden, random.integers(0, 3, len(hidden))] = False
-    return LineObservations(TRUE_RIG.names, fragments, covariance, seen, ends), ends, bad
+    is_seen[hidden, random.integers(0, 3, len(hidden))] = False
+    return LineObservations(TRUE_RIG.names, fragments, covariance, is_seen, ends), ends, bad
 
 
 def started_from(rig: Rig, lines: LineObservations) -> LineObservations:
-    """The same fragments, with lines triangulated by a (disturbed) rig."""
+    """The same fragments, with lines triangulated by another (disturbed) rig."""
     from trinoc.geometry import triangulate_segment
     from trinoc.numerics.precision import in_float64
 
     solve = jax.jit(jax.vmap(triangulate_segment, (None, 0, 0, 0)))
-    found = in_float64(solve)(rig.matrices_px, lines.fragments_px, lines.covariance_px2, lines.seen)
-    finite = np.isfinite(found.ends_mm).all(axis=(1, 2))
-    start = np.where(finite[:, None, None], found.ends_mm, lines.lines_mm)
+    triangulated = in_float64(solve)(
+        rig.matrices_px, lines.fragments_px, lines.covariance_px2, lines.seen
+    )
+    finite = np.isfinite(triangulated.ends_mm).all(axis=(1, 2))
+    start = np.where(finite[:, None, None], triangulated.ends_mm, lines.lines_mm)
     return LineObservations(
         lines.views, lines.fragments_px, lines.covariance_px2, lines.seen, start
     )
 
 
 def knocked_cameras(trials: int) -> None:
-    """One camera disturbed, the two others known by their sheet: error before and after."""
+    """Print errors before and after for one disturbed camera and two calibrated by their sheet."""
     print("\nOne camera knocked; rms error of its angles (deg) and distance (mm) before -> after")
     print(f"{'deg, mm':>12} {'lines':>6} {'wrong':>6}  {'angle':>18}  {'distance':>16}"
           f"  within 3 sigma  wrong found")  # fmt: skip
@@ -83,16 +85,16 @@ def knocked_cameras(trials: int) -> None:
             for seed in range(trials if tracks < 2000 else max(trials // 3, 1)):
                 random = np.random.default_rng([seed, tracks])
                 camera = int(random.integers(0, 3))
-                own = np.arange(4 * camera, 4 * camera + 4)
+                unknowns = np.arange(4 * camera, 4 * camera + 4)
                 values = TRUTH + sigma * random.standard_normal(12)
-                size = np.where(ANGLE, degrees, millimetres)[own]
-                values[own] += size * random.choice([-1, 1], 4)
+                size = np.where(ANGLE, degrees, millimetres)[unknowns]
+                values[unknowns] += size * random.choice([-1, 1], 4)
                 lines, _, bad = made_lines(random, tracks, 0.3, wrong)
                 start = rig_at(values, np.diag(sigma**2))
                 answer = refine(start, started_from(start, lines), moved=(TRUE_RIG.names[camera],))
-                rows = [answer.parameters.index(NAMES[i]) for i in own]
-                error = answer.values[rows] - TRUTH[own]
-                before.append((values - TRUTH)[own])
+                rows = [answer.parameters.index(NAMES[i]) for i in unknowns]
+                error = answer.values[rows] - TRUTH[unknowns]
+                before.append((values - TRUTH)[unknowns])
                 after.append(error)
                 within.append(np.abs(error) < 3 * np.sqrt(np.diag(answer.covariance))[rows])
                 caught.append((answer.inlier != lines.seen).any(axis=1)[bad].mean())
@@ -104,7 +106,7 @@ def knocked_cameras(trials: int) -> None:
 
 
 def coverage(trials: int) -> None:
-    """Do 95 % ellipsoids hold the true segments, and how near is the error to its bound?"""
+    """Print the share of 95 % ellipsoids that contain the true segments, and error over bound."""
     print("\nCoverage of 3-D segments: share inside 95 % ellipsoids, mean chi-square (6), and")
     print("median error over the median of errors drawn from the bound (true cameras and noise)")
     for label, sheet in (("good sheet", 1.0), ("poor sheet, 20 x", 20.0)):
@@ -135,7 +137,7 @@ def coverage(trials: int) -> None:
 
 
 def sheet_and_segments(trials: int) -> None:
-    """Held-out segments: 3-D error by the sheet alone, and by sheet and segments."""
+    """Print the 3-D error of held-out segments by the sheet alone, and by sheet and segments."""
     print("\nSheet alone against sheet and segments, on 200 held-out lines without noise:")
     for sheet in (1.0, 10.0, 100.0):
         sigma = sheet * np.where(ANGLE, 0.0015, 0.0045)
@@ -148,14 +150,14 @@ def sheet_and_segments(trials: int) -> None:
                 start = rig_at(TRUTH + sigma * random.standard_normal(12), np.diag(sigma**2))
                 refined = refine(start, lines).rig
                 for rig, errors in ((start, alone), (refined, together)):
-                    found = started_from(rig, held_out).lines_mm
-                    errors.append(np.median(np.linalg.norm(found - ends, axis=2)))
+                    estimated_mm = started_from(rig, held_out).lines_mm
+                    errors.append(np.median(np.linalg.norm(estimated_mm - ends, axis=2)))
             print(f"  sheet {sheet:4.0f} x its bound, {tracks:5d} lines of 0.3 px: median error "
                   f"{1e3 * np.mean(alone):8.2f} -> {1e3 * np.mean(together):8.2f} um")  # fmt: skip
 
 
 def every_camera(trials: int) -> None:
-    """All cameras disturbed: with a sheet of that size, and with none, gauge taken out."""
+    """Print errors for all cameras disturbed: with such a sheet, and without, up to the gauge."""
     print("\nAll cameras disturbed, matches given; rms error of orientation (deg) and centre (mm)")
     print("after the best similarity of the whole rig, before -> after")
     for with_sheet in (True, False):

@@ -1,4 +1,4 @@
-"""Knocked rigs corrected by segments that the matcher joins: matches recovered, errors, basin.
+"""Knocked rigs corrected by matched segments: recovered matches, errors, convergence range.
 
 Made scenes (blocks on a table, see-through boxes, loose segments; ends with 0.5 px of noise, a
 fifth broken, a fifth nobody's). Cameras are turned about any axis and shifted any way after the
@@ -36,7 +36,7 @@ Trial = tuple[Rig, Rig, dict[str, Segments], SegmentTruth, str]
 
 
 def trials_of(make, size: tuple[float, float], count: int, every: bool) -> Iterator[Trial]:
-    """(sheet's rig, true rig, segments, whose they are, a knocked camera)."""
+    """(sheet's rig, true rig, segments, their true edges, name of a knocked camera)."""
     for seed in range(FIRST_SEED, FIRST_SEED + count):
         random = np.random.default_rng(seed)
         name = TRUE_RIG.names[seed % 3]
@@ -46,49 +46,49 @@ def trials_of(make, size: tuple[float, float], count: int, every: bool) -> Itera
 
 
 def corrected(
-    given: Rig, segments: dict[str, Segments], name: str, every: bool, way: str
+    start_rig: Rig, segments: dict[str, Segments], name: str, every: bool, schedule: str
 ) -> RefineResult:
-    """One refinement, matched once, again and again, or from tolerant to strict."""
+    """One refinement with matches of the start rig, or rematched from tolerant to strict."""
 
     def match(rig: Rig, sigma_px: float | None = None):
         return match_segments(segments, rig, sigma_px=sigma_px)
 
-    again = {
+    rematches = {
         "once": None,
         "tolerant": [lambda rig: match(rig, TOLERANT_SIGMA_PX), match],
-    }[way]
+    }[schedule]
     # With every camera knocked nothing of the sheet's word is left: relative poses.
-    start, moved = (Rig(dict(given.items())), ()) if every else (given, (name,))
-    return refine(start, match(start), moved=moved, match_again=again)
+    start, moved = (Rig(dict(start_rig.items())), ()) if every else (start_rig, (name,))
+    return refine(start, match(start), moved=moved, match_again=rematches)
 
 
 def table(scenes: dict, trials: int, every: bool) -> None:
     who = "every camera" if every else "one camera"
     print(f"\n## {who} knocked: triples' precision/recall with the rig as it was, refined, true;")
     print("median error deg, mm before -> after; answers given: right, wrong; refused")
-    for way in ("once", "tolerant"):
+    for schedule in ("once", "tolerant"):
         for label, make in scenes.items():
             for size in SIZES:
-                row(f"{way:8s} {label:9s}", make, size, trials, every, way)
+                row(f"{schedule:8s} {label:9s}", make, size, trials, every, schedule)
 
 
-def row(label: str, make, size, trials: int, every: bool, way: str) -> None:
+def row(label: str, make, size, trials: int, every: bool, schedule: str) -> None:
     scores, before, after, outcomes, laps = [], [], [], [], []
-    for given, true, segments, truth, name in trials_of(make, size, trials, every):
+    for start_rig, true, segments, truth, name in trials_of(make, size, trials, every):
         begin = time.perf_counter()
-        answer = corrected(given, segments, name, every, way)
+        answer = corrected(start_rig, segments, name, every, schedule)
         laps.append(time.perf_counter() - begin)
-        rigs = given, answer.rig, true
-        found = [score_matches(match_segments(segments, rig), truth).triples for rig in rigs]
-        scores.append([(score.precision, score.recall) for score in found])
+        rigs = start_rig, answer.rig, true
+        triples = [score_matches(match_segments(segments, rig), truth).triples for rig in rigs]
+        scores.append([(score.precision, score.recall) for score in triples])
         off = [
             relative_error(rig, true) if every else camera_error(rig, true, name)
-            for rig in (given, answer.rig)
+            for rig in (start_rig, answer.rig)
         ]
         before.append(off[0])
         refused = answer.status in (RefineStatus.AMBIGUOUS, RefineStatus.NOT_CONVERGED)
         # Right is what finds the matches again that the true rig finds, all but a tenth.
-        right = found[1].recall > 0.9 * found[2].recall
+        right = triples[1].recall > 0.9 * triples[2].recall
         outcomes.append("refused" if refused else "right" if right else "wrong")
         if not refused:
             after.append(off[1])

@@ -29,23 +29,23 @@ TOLERANT_SIGMA_PX = 4.0  # as the command takes it
 
 
 def reprojection_px(rig: Rig, images: list[np.ndarray], where: np.ndarray) -> tuple[float, float]:
-    """(rms, median) distance of points from their images, each placed by least squares."""
+    """(rms, median) reprojection error of points triangulated by least squares, px."""
     matrices = rig.matrices_px
     distances = []
     for row in where:
-        seen = np.flatnonzero(row >= 0)
-        if len(seen) < 3:
+        views = np.flatnonzero(row >= 0)
+        if len(views) < 3:
             continue
-        uv = np.array([images[v][row[v]] for v in seen])
-        point = _point(matrices[seen], uv)
-        image = matrices[seen] @ np.append(point, 1.0)
+        uv = np.array([images[v][row[v]] for v in views])
+        point = _point(matrices[views], uv)
+        image = matrices[views] @ np.append(point, 1.0)
         distances.append(np.linalg.norm(image[:, :2] / image[:, 2:] - uv, axis=1))
     every = np.concatenate(distances)
     return float(np.sqrt(np.mean(every**2))), float(np.median(every))
 
 
 def _point(matrices: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """The point whose images lie nearest: the linear one, then Gauss and Newton's steps."""
+    """Triangulated point: the linear solution, then Gauss-Newton steps."""
     rows = np.concatenate([uv[:, :1] * matrices[:, 2] - matrices[:, 0],
                            uv[:, 1:] * matrices[:, 2] - matrices[:, 1]])  # fmt: skip
     rows /= np.linalg.norm(rows[:, :3], axis=1, keepdims=True)
@@ -60,26 +60,28 @@ def _point(matrices: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 
 def published(segments: dict[str, np.ndarray], matches: np.ndarray, rig: Rig) -> LineObservations:
-    """The published matches, their lines placed by a rig."""
-    chosen = {
+    """The published matches, with lines triangulated by a rig."""
+    view_segments = {
         view: Segments.from_endpoints(segments[view][matches[:, v]]) for v, view in enumerate(VIEWS)
     }
-    fragments = np.stack([np.asarray(chosen[view].endpoints_px) for view in VIEWS], axis=1)
+    fragments = np.stack([np.asarray(view_segments[view].endpoints_px) for view in VIEWS], axis=1)
     # Both ends run as those of the first view do.
-    way = fragments[:, :, 1] - fragments[:, :, 0]
-    swap = (way * way[:, :1]).sum(axis=-1) < 0
+    directions = fragments[:, :, 1] - fragments[:, :, 0]
+    swap = (directions * directions[:, :1]).sum(axis=-1) < 0
     fragments = np.where(swap[..., None, None], fragments[:, :, ::-1], fragments)
-    covariance = np.stack([np.asarray(chosen[view].covariance_px2) for view in VIEWS], axis=1)
-    seen = np.ones(matches.shape, dtype=bool)
+    covariance = np.stack(
+        [np.asarray(view_segments[view].covariance_px2) for view in VIEWS], axis=1
+    )
+    is_seen = np.ones(matches.shape, dtype=bool)
     solve = in_float64(jax.jit(jax.vmap(triangulate_segment, (None, 0, 0, 0))))
-    ends = np.asarray(solve(rig.matrices_px, fragments, covariance, seen).ends_mm)
+    ends = np.asarray(solve(rig.matrices_px, fragments, covariance, is_seen).ends_mm)
     good = np.isfinite(ends).all(axis=(1, 2))
-    lines = LineObservations(VIEWS, fragments, covariance, seen, ends)
+    lines = LineObservations(VIEWS, fragments, covariance, is_seen, ends)
     return take_rows(lines, np.flatnonzero(good))
 
 
 def run(folder: Path, trials: int, *, published_only: bool) -> None:
-    """Print the tables; with `published_only` nothing is matched by trinoc."""
+    """Print the tables; `published_only` leaves out the matches of trinoc."""
     data = np.load(folder / "vgg_merton1" / "merton1.npz")
     segments = {view: data[f"segments_{v}"] for v, view in enumerate(VIEWS)}
     points = [data[f"corners_{v}"] for v in range(3)]
@@ -104,11 +106,11 @@ def run(folder: Path, trials: int, *, published_only: bool) -> None:
             random = np.random.default_rng(trial)
             start = knocked(true, VIEWS, (degrees, millimetres * unit), random)
             print(f"{degrees:4.2f} {millimetres:3.1f} disturbed             {shown(start)}")
-            given = refine(start, published(segments, data["line_matches"], start))
-            answers = [("published matches", given)]
+            refined = refine(start, published(segments, data["line_matches"], start))
+            answers = [("published matches", refined)]
             if not published_only:
-                again = [lambda rig: match(rig, TOLERANT_SIGMA_PX), match]
-                ours = refine(start, match(start), match_again=again)
+                rematches = [lambda rig: match(rig, TOLERANT_SIGMA_PX), match]
+                ours = refine(start, match(start), match_again=rematches)
                 answers.append(("our matches", ours))
             for label, answer in answers:
                 refused = answer.status in (RefineStatus.AMBIGUOUS, RefineStatus.NOT_CONVERGED)

@@ -1,4 +1,4 @@
-"""The paper's rig, knocked: what a sheet said of it before, and how far an answer is off."""
+"""The paper's rig: calibrated by a sheet, knocked, and errors of its estimates."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -32,13 +32,13 @@ def rig_at(values: np.ndarray, covariance: np.ndarray | None = None) -> Rig:
 
 
 def calibrated_rig(random: np.random.Generator) -> Rig:
-    """What a good sheet says of the rig."""
+    """Rig as a good sheet calibrates it."""
     values = TRUTH + SHEET_SIGMA * random.standard_normal(len(TRUTH))
     return rig_at(values, np.diag(SHEET_SIGMA**2))
 
 
 def knocked(rig: Rig, names: tuple[str, ...], size: tuple[float, float], random) -> Rig:
-    """The rig with some cameras turned about any axis and shifted any way, by (deg, mm)."""
+    """The rig with some cameras turned and shifted by (deg, mm), in random directions."""
     cameras = {}
     for name, camera in rig.items():
         if name in names:

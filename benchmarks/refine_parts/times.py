@@ -22,11 +22,11 @@ from trinoc.geometry.rig import Rig
 
 
 class Stopped(Exception):
-    """A solver took longer than it was given."""
+    """A solver took longer than its time limit."""
 
 
 def times(scipy_seconds: int) -> None:
-    """Warm time and memory beside scipy with the same problem's sparsity."""
+    """Print warm time and memory, against scipy with the same problem's sparsity."""
     print("\nTime of one refinement (six free numbers per camera, no sheet), and peak memory")
     for tracks in (100, 1000, 10_000):
         random = np.random.default_rng(tracks)
@@ -60,7 +60,7 @@ def peak_mib() -> float:
 
 
 class Residuals:
-    """The same unknowns and residuals in NumPy: distances of ends across lines, in sigmas."""
+    """Unknowns and residuals of `refine` in NumPy: distances of ends across lines, in sigmas."""
 
     def __init__(self, rig: Rig, lines: LineObservations) -> None:
         self.lines = lines
@@ -71,8 +71,8 @@ class Residuals:
         first = np.cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
         self.first = first / np.linalg.norm(first, axis=1, keepdims=True)
         self.second = np.cross(axis, self.first) / np.linalg.norm(axis, axis=1, keepdims=True)
-        way = np.diff(lines.fragments_px, axis=2)[:, :, 0]
-        normal = np.stack([-way[..., 1], way[..., 0]], axis=-1)
+        direction = np.diff(lines.fragments_px, axis=2)[:, :, 0]
+        normal = np.stack([-direction[..., 1], direction[..., 0]], axis=-1)
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
         covariance = lines.covariance_px2[..., :2, :2]
         self.sigma = np.sqrt(np.einsum("tvi,tvij,tvj->tv", normal, covariance, normal))
@@ -89,7 +89,7 @@ class Residuals:
         return self.lines.lines_mm + moved
 
     def all(self, x: np.ndarray) -> np.ndarray:
-        """Every residual, for scipy."""
+        """All residuals, as a vector for scipy."""
         tracks, views = self.lines.seen.shape
         step, offset = x[: 6 * views].reshape(views, 6), x[6 * views :].reshape(tracks, 2, 2)
         image = projected(self.matrices(step), self.ends(offset))
@@ -97,7 +97,7 @@ class Residuals:
         return np.where(self.lines.seen[..., None], distance, 0.0).reshape(-1)
 
     def scipy(self) -> None:
-        """least_squares with the sparsity of the Jacobian, and soft_l1."""
+        """Solve by least_squares with the Jacobian's sparsity and soft_l1; print the outcome."""
         tracks, views = self.lines.seen.shape
         pattern = lil_matrix((tracks * views * 2, 6 * views + 4 * tracks), dtype=np.int8)
         for track in range(tracks):
@@ -106,8 +106,13 @@ class Residuals:
                 pattern[row, 6 * view : 6 * view + 6] = 1
                 pattern[row, 6 * views + 4 * track : 6 * views + 4 * track + 4] = 1
         start = np.zeros(pattern.shape[1])
-        found = least_squares(self.all, start, jac_sparsity=pattern, x_scale="jac", loss="soft_l1")
-        print(f"         ({found.nfev} evaluations, final cost {found.cost:.6g}: {found.message})")
+        solution = least_squares(
+            self.all, start, jac_sparsity=pattern, x_scale="jac", loss="soft_l1"
+        )
+        print(
+            f"         ({solution.nfev} evaluations, final cost {solution.cost:.6g}: "
+            f"{solution.message})"
+        )
 
 
 def across(image: np.ndarray, fragments: np.ndarray) -> np.ndarray:

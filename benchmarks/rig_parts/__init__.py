@@ -1,1 +1,1 @@
-"""What `rigs.py` runs: a file for each table, and what they share."""
+"""Parts of `rigs.py`: a file for each table, and the code that they share."""

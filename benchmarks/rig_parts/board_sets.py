@@ -1,4 +1,4 @@
-"""Cameras that never see one board: errors over the bound and over the claimed sigmas.
+"""Cameras that never see the same board: errors over the bound and over the reported sigmas.
 
 Two cameras with unknown lenses of four coefficients, and two boards that are fixed to each other in
 a way that nobody knows; each camera sees a board of its own, never the other's. "around": a block
@@ -61,17 +61,17 @@ def scene(name: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
 
 
 def observed(name: str, shots: int, random: np.random.Generator) -> dict[str, list]:
-    """What each camera sees of its own board, where it lies in both pictures whole."""
+    """Detections of each camera's board, in shots in which both boards are fully visible."""
     cameras, boards = scene(name)
-    found: dict[str, list[Detection]] = {camera: [] for camera in CAMERAS}
+    detections: dict[str, list[Detection]] = {camera: [] for camera in CAMERAS}
     reach = 0.75 if name == "around" else 0.35
-    while len(found[CAMERAS[0]]) < shots:
+    while len(detections[CAMERAS[0]]) < shots:
         about, tilt = random.uniform(0, 2 * np.pi), random.uniform(0.4, 1.0) * reach
         turn = rotation([tilt * np.cos(about), tilt * np.sin(about), 0])
         turn = turn @ rotation([0, 0, random.uniform(-0.5, 0.5)]) @ np.diag([1.0, -1, -1])
-        place = [*random.uniform(-70, 70, 2), random.uniform(480, 650)]
-        pose = np.column_stack([turn, place])
-        own, first = [], 0
+        position_mm = [*random.uniform(-70, 70, 2), random.uniform(480, 650)]
+        pose = np.column_stack([turn, position_mm])
+        shot_detections, first = [], 0
         for camera, cam, in_set, board in zip(CAMERAS, cameras, boards, BOARDS, strict=True):
             lens = BrownConrady.from_parameters(np.array(LENSES[camera]))
             with jax.enable_x64(True):
@@ -82,7 +82,7 @@ def observed(name: str, shots: int, random: np.random.Generator) -> dict[str, li
                 both[:, 2] @ both[:, 3] < 0
                 and ((exact > 5) & (exact < np.array(SIZE_PX) - 6)).all()
             ):
-                own.append(
+                shot_detections.append(
                     Detection(
                         circle_index=first + np.arange(count),
                         centres_px=exact + random.normal(0, SIGMA_PX, (count, 2)),
@@ -93,17 +93,17 @@ def observed(name: str, shots: int, random: np.random.Generator) -> dict[str, li
                     )
                 )
             first += count
-        if len(own) == len(CAMERAS):
-            for camera, each in zip(CAMERAS, own, strict=True):
-                found[camera].append(each)
-    return found
+        if len(shot_detections) == len(CAMERAS):
+            for camera, detection in zip(CAMERAS, shot_detections, strict=True):
+                detections[camera].append(detection)
+    return detections
 
 
 def errors(cameras: list[np.ndarray], boards: list[np.ndarray], name: str) -> dict[str, float]:
-    """By how much the second camera and the second board stand elsewhere: mm and degrees."""
+    """Pose errors of the second camera and the second board, in mm and degrees."""
     true_cameras, true_boards = scene(name)
     between = chained(cameras[1], inverse(cameras[0]))
-    centre, true_centre = (inverse(each)[:, 3] for each in (between, true_cameras[1]))
+    centre, true_centre = (inverse(pose)[:, 3] for pose in (between, true_cameras[1]))
     turn = cv2.Rodrigues(between[:, :3] @ true_cameras[1][:, :3].T)[0].ravel()
     in_set = chained(inverse(boards[0]), boards[1])
     board_turn = cv2.Rodrigues(in_set[:, :3] @ true_boards[1][:, :3].T)[0].ravel()
@@ -117,25 +117,27 @@ def errors(cameras: list[np.ndarray], boards: list[np.ndarray], name: str) -> di
     return named
 
 
-def by_trinoc(found: dict[str, list], name: str) -> tuple[dict[str, float], CalibrationResult]:
-    result = calibrate_rig(found, TARGET, world="left", systematics=Systematics(), distortion=4)
+def by_trinoc(detections: dict[str, list], name: str) -> tuple[dict[str, float], CalibrationResult]:
+    result = calibrate_rig(
+        detections, TARGET, world="left", systematics=Systematics(), distortion=4
+    )
     assert result.has_rig
     cameras = [np.asarray(result.rig[camera].cam_from_world) for camera in CAMERAS]
-    own = errors(cameras, list(result.reference_from_board), name)
+    deviations = errors(cameras, list(result.reference_from_board), name)
     for camera in CAMERAS:
         for key, true in zip(BrownConrady.parameter_names, LENSES[camera], strict=True):
-            own[f"{camera}.{key}"] = result.value(f"{camera}.{key}") - true
-    return own, result
+            deviations[f"{camera}.{key}"] = result.value(f"{camera}.{key}") - true
+    return deviations, result
 
 
-def by_opencv(found: dict[str, list], name: str) -> dict[str, float]:
-    poses, own, first = [], {}, 0
+def by_opencv(detections: dict[str, list], name: str) -> dict[str, float]:
+    poses, deviations, first = [], {}, 0
     for camera, board in zip(CAMERAS, BOARDS, strict=True):
         local = [
-            Detection(**{**vars(each), "circle_index": each.circle_index - first})
-            for each in found[camera]
+            Detection(**{**vars(detection), "circle_index": detection.circle_index - first})
+            for detection in detections[camera]
         ]
-        pairs = [points(board, each) for each in local]
+        pairs = [points(board, detection) for detection in local]
         start = np.array([[800.0, 0, 319.5], [0, 800.0, 239.5], [0, 0, 1]])
         flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3
         _, matrix, distortion, turns, shifts = cv2.calibrateCamera(
@@ -145,7 +147,7 @@ def by_opencv(found: dict[str, list], name: str) -> dict[str, float]:
         for key, value, true in zip(
             BrownConrady.parameter_names, values, LENSES[camera], strict=True
         ):
-            own[f"{camera}.{key}"] = value - true
+            deviations[f"{camera}.{key}"] = value - true
         poses.append(
             [
                 np.column_stack([rotation(r), np.ravel(t)])
@@ -153,10 +155,12 @@ def by_opencv(found: dict[str, list], name: str) -> dict[str, float]:
             ]
         )
         first += len(board)
-    motions = solve_hand_eye(*([Pose(pose) for pose in each] for each in poses), TUNING)
+    motions = solve_hand_eye(
+        *([Pose(pose) for pose in camera_poses] for camera_poses in poses), TUNING
+    )
     assert motions is not None
     cameras, boards = (pose.cam_from_world for pose in motions)
-    return own | errors([np.eye(3, 4), cameras], [np.eye(3, 4), boards], name)
+    return deviations | errors([np.eye(3, 4), cameras], [np.eye(3, 4), boards], name)
 
 
 def made(name: str, trials: int, shots: int) -> None:
@@ -164,27 +168,27 @@ def made(name: str, trials: int, shots: int) -> None:
     groups: list[str] = []
     seconds = []
     for trial in range(trials):
-        found = observed(name, shots, np.random.default_rng(trial))
+        detections = observed(name, shots, np.random.default_rng(trial))
         start = time.perf_counter()
-        own, result = by_trinoc(found, name)
+        deviations, result = by_trinoc(detections, name)
         seconds.append(time.perf_counter() - start)
-        keys = [key for key in own if result.sigma(key) > 0]
+        keys = [key for key in deviations if result.sigma(key) > 0]
         groups = [
             "boards" if key.startswith("board") else "poses" if "_mm" in key or "_deg" in key
             else "lenses" for key in keys
         ]  # fmt: skip
-        claimed = np.array([result.sigma(key) for key in keys])
-        bound = claimed / np.mean([fit.sigma_factor for fit in result.fits.values()])
-        mine = np.array([own[key] for key in keys])
-        theirs = np.array([by_opencv(found, name)[key] for key in keys])
+        reported_sigma = np.array([result.sigma(key) for key in keys])
+        bound = reported_sigma / np.mean([fit.sigma_factor for fit in result.fits.values()])
+        mine = np.array([deviations[key] for key in keys])
+        theirs = np.array([by_opencv(detections, name)[key] for key in keys])
         rows.setdefault("trinoc", []).append(list(mine / bound))
         rows.setdefault("cv2.calibrateCamera, then hand-eye", []).append(list(theirs / bound))
-        rows.setdefault("trinoc, over its claimed sigmas", []).append(list(mine / claimed))
+        rows.setdefault("trinoc, over its claimed sigmas", []).append(list(mine / reported_sigma))
     print(f"\n{name}: 2 cameras, 2 boards, {shots} shots, {SIGMA_PX} px, {trials} trials")
     print("error over the bound (rms)                     lenses    poses   boards")
     for chain, table in rows.items():
         by_group = [
-            rms(np.array(table)[:, [k for k, each in enumerate(groups) if each == group]])
+            rms(np.array(table)[:, [k for k, label in enumerate(groups) if label == group]])
             for group in ("lenses", "poses", "boards")
         ]
         print(f"  {chain:42} {by_group[0]:9.2f} {by_group[1]:8.2f} {by_group[2]:8.2f}")

@@ -1,4 +1,4 @@
-"""A rig and its lenses from many shots: errors over the bound and over the claimed sigmas.
+"""A rig and its lenses from many shots: errors over the bound and over the reported sigmas.
 
 Three cameras with unknown lenses of four coefficients, and what a detector with the stated
 noise reports of a chessboard (corners) and of our sheet (circles, by the exact centres of their
@@ -60,8 +60,8 @@ def boards(count: int, random: np.random.Generator) -> list[np.ndarray]:
         about, tilt = random.uniform(0, 2 * np.pi), np.radians(random.uniform(15, 45))
         turn = rotation([tilt * np.cos(about), tilt * np.sin(about), 0])
         turn = turn @ rotation([0, 0, random.uniform(-0.4, 0.4)]) @ np.diag([1.0, -1, -1])
-        place = [*random.uniform(-60, 60, 2), random.uniform(480, 650)]
-        poses.append(np.column_stack([turn, place]))
+        position_mm = [*random.uniform(-60, 60, 2), random.uniform(480, 650)]
+        poses.append(np.column_stack([turn, position_mm]))
     return poses
 
 
@@ -75,20 +75,25 @@ def seen(lens, pose, centres, radius):
 
 
 def observed(target, sigma_px, poses, random) -> dict[str, list[Detection | None]]:
-    found: dict[str, list[Detection | None]] = {}
+    detections: dict[str, list[Detection | None]] = {}
     for name, values in LENSES.items():
-        lens, own, found[name] = (
+        lens, camera_pose, detections[name] = (
             BrownConrady.from_parameters(np.array(values)),
             cam_from_rig(name),
             [],
         )
         for pose in poses:
-            both = np.column_stack([own[:, :3] @ pose[:, :3], own[:, :3] @ pose[:, 3] + own[:, 3]])
+            both = np.column_stack(
+                [
+                    camera_pose[:, :3] @ pose[:, :3],
+                    camera_pose[:, :3] @ pose[:, 3] + camera_pose[:, 3],
+                ]
+            )
             with jax.enable_x64(True):
                 exact = np.asarray(seen(lens, both, target.centres_mm, target.radius_mm))
             inside = ((exact > 5) & (exact < np.array(SIZE_PX) - 6)).all(axis=1)
             count = int(inside.sum())
-            found[name].append(
+            detections[name].append(
                 Detection(
                     circle_index=np.flatnonzero(inside),
                     centres_px=exact[inside] + random.normal(0, sigma_px, (count, 2)),
@@ -100,14 +105,14 @@ def observed(target, sigma_px, poses, random) -> dict[str, list[Detection | None
                 if count >= 20
                 else None
             )
-    return found
+    return detections
 
 
 def truth() -> dict[str, float]:
     values = {
         f"{name}.{key}": value
-        for name, own in LENSES.items()
-        for key, value in zip(BrownConrady.parameter_names, own, strict=True)
+        for name, lens_values in LENSES.items()
+        for key, value in zip(BrownConrady.parameter_names, lens_values, strict=True)
     }
     first = cam_from_rig("left")
     for name in LENSES:
@@ -128,8 +133,10 @@ def pose_numbers(name: str, pose: np.ndarray) -> dict[str, float]:
     return dict(zip([f"{name}.{key}" for key in POSE], numbers, strict=True))
 
 
-def by_trinoc(target, found):
-    result = calibrate_rig(found, target, world="left", systematics=Systematics(), distortion=4)
+def by_trinoc(target, detections):
+    result = calibrate_rig(
+        detections, target, world="left", systematics=Systematics(), distortion=4
+    )
     values = dict(zip(result.parameters, result.values, strict=True))
     sigmas = {name: result.sigma(name) for name in result.parameters}
     factors = {camera: fit.sigma_factor for camera, fit in result.fits.items()}
@@ -141,33 +148,40 @@ def by_trinoc(target, found):
 
 def points(target, detection):
     index = detection.circle_index
-    place = np.pad(target.centres_mm[index], ((0, 0), (0, 1))).astype(np.float32)
-    return place[:, None], detection.centres_px.astype(np.float32)[:, None]
+    board_points = np.pad(target.centres_mm[index], ((0, 0), (0, 1))).astype(np.float32)
+    return board_points[:, None], detection.centres_px.astype(np.float32)[:, None]
 
 
-def by_opencv(target, found, *, free: bool) -> dict[str, float]:
+def by_opencv(target, detections, *, free: bool) -> dict[str, float]:
     values, lenses = {}, {}
-    for name, own in found.items():
-        pairs = [points(target, each) for each in own if each is not None]
+    for name, camera_detections in detections.items():
+        pairs = [
+            points(target, detection) for detection in camera_detections if detection is not None
+        ]
         start = np.array([[800.0, 0, 319.5], [0, 800.0, 239.5], [0, 0, 1]])
         flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3
         _, matrix, distortion, _, _ = cv2.calibrateCamera(
             [p for p, _ in pairs], [q for _, q in pairs], SIZE_PX, start, np.zeros(5), flags=flags
         )
         lenses[name] = matrix, distortion.ravel()[:5]
-    for name in list(found)[1:]:
-        shared = [(a, b) for a, b in zip(found["left"], found[name], strict=True) if a and b]
-        place, one, other = [], [], []
+    for name in list(detections)[1:]:
+        shared = [
+            (a, b) for a, b in zip(detections["left"], detections[name], strict=True) if a and b
+        ]
+        board_points, first_px, second_px = [], [], []
         for a, b in shared:
             both, in_a, in_b = np.intersect1d(a.circle_index, b.circle_index, return_indices=True)
-            place.append(np.pad(target.centres_mm[both], ((0, 0), (0, 1))).astype(np.float32))
-            one.append(a.centres_px[in_a].astype(np.float32))
-            other.append(b.centres_px[in_b].astype(np.float32))
+            board_points.append(
+                np.pad(target.centres_mm[both], ((0, 0), (0, 1))).astype(np.float32)
+            )
+            first_px.append(a.centres_px[in_a].astype(np.float32))
+            second_px.append(b.centres_px[in_b].astype(np.float32))
         flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3
         flags = flags if free else cv2.CALIB_FIX_INTRINSIC
         (m1, d1), (m2, d2) = lenses["left"], lenses[name]
         _, m1, d1, m2, d2, turn, shift, *_ = cv2.stereoCalibrate(
-            place, one, other, m1.copy(), d1.copy(), m2.copy(), d2.copy(), SIZE_PX, flags=flags,
+            board_points, first_px, second_px, m1.copy(), d1.copy(), m2.copy(), d2.copy(), SIZE_PX,
+            flags=flags,
             criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-9),
         )  # fmt: skip
         if free:
@@ -175,29 +189,29 @@ def by_opencv(target, found, *, free: bool) -> dict[str, float]:
             lenses[name] = m2, np.ravel(d2)[:5]
         values |= pose_numbers(name, np.column_stack([turn, np.ravel(shift)]))
     for name, (matrix, distortion) in lenses.items():
-        own = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion]
+        parameters = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion]
         keys = [f"{name}.{key}" for key in BrownConrady.parameter_names]
-        values |= dict(zip(keys, own, strict=True))
+        values |= dict(zip(keys, parameters, strict=True))
     return values
 
 
-def by_multiview(target, found) -> dict[str, float]:
-    """OpenCV 5's joint estimate; in millimetres it takes every board for a line."""
+def by_multiview(target, detections) -> dict[str, float]:
+    """OpenCV 5's joint estimate, in metres: in millimetres it treats every board as a line."""
     everything = np.pad(target.centres_mm / METRE_MM, ((0, 0), (0, 1))).astype(np.float32)
-    shots = len(found["left"])
-    image, mask = [], np.zeros((len(found), shots), np.uint8)
-    for c, own in enumerate(found.values()):
+    shots = len(detections["left"])
+    image, mask = [], np.zeros((len(detections), shots), np.uint8)
+    for c, camera_detections in enumerate(detections.values()):
         rows = []
-        for s, each in enumerate(own):
-            places = np.full((len(everything), 2), -1.0, np.float32)
-            if each is not None:
-                places[each.circle_index] = each.centres_px
+        for s, detection in enumerate(camera_detections):
+            pixels = np.full((len(everything), 2), -1.0, np.float32)
+            if detection is not None:
+                pixels[detection.circle_index] = detection.centres_px
                 mask[c, s] = 1
-            rows.append(places)
+            rows.append(pixels)
         image.append(rows)
     out = cv2.calibrateMultiview(
-        [everything] * shots, image, [SIZE_PX] * len(found), mask,
-        np.zeros(len(found), np.uint8), None, None, None, None,
+        [everything] * shots, image, [SIZE_PX] * len(detections), mask,
+        np.zeros(len(detections), np.uint8), None, None, None, None,
     )  # fmt: skip
     _, matrices, distortions, turns, shifts = out[:5]
     values = {}
@@ -207,25 +221,25 @@ def by_multiview(target, found) -> dict[str, float]:
         )
         for turn, shift in zip(turns, shifts, strict=True)
     ]
-    for k, name in enumerate(found):
-        own = [matrices[k][0, 0], matrices[k][1, 1], matrices[k][0, 2], matrices[k][1, 2]]
+    for k, name in enumerate(detections):
+        linear = [matrices[k][0, 0], matrices[k][1, 1], matrices[k][0, 2], matrices[k][1, 2]]
         keys = [f"{name}.{key}" for key in BrownConrady.parameter_names]
-        values |= dict(zip(keys, [*own, *np.ravel(distortions[k])[:5]], strict=True))
+        values |= dict(zip(keys, [*linear, *np.ravel(distortions[k])[:5]], strict=True))
         values |= pose_numbers(name, relative(poses[0], poses[k]))
     return values
 
 
-def by_mrcal(target, found) -> dict[str, float]:
-    models, _ = calibrate_by_mrcal(target, found, SIZE_PX, 4, ["--skip-calobject-warp-solve"])
+def by_mrcal(target, detections) -> dict[str, float]:
+    models, _ = calibrate_by_mrcal(target, detections, SIZE_PX, 4, ["--skip-calobject-warp-solve"])
     poses = {
         name: np.column_stack([rotation(model["extrinsics"][:3]), model["extrinsics"][3:]])
         for name, model in models.items()
     }
     values = {}
     for name, model in models.items():
-        own = [*model["intrinsics"], 0.0][:9]
+        parameters = [*model["intrinsics"], 0.0][:9]
         keys = [f"{name}.{key}" for key in BrownConrady.parameter_names]
-        values |= dict(zip(keys, own, strict=True))
+        values |= dict(zip(keys, parameters, strict=True))
         values |= pose_numbers(name, relative(poses["left"], poses[name]))
     return values
 
@@ -239,17 +253,17 @@ def run(trials: int, shots: int) -> None:
     pose_keys = [k for k in true if k.split(".")[1] in POSE and not k.startswith("left.")]
     for title, (target, sigma_px) in BOARDS.items():
         errors: dict[str, list] = {}
-        claimed, halves, seconds = [], [], []
+        normalised, halves, seconds = [], [], []
         for trial in range(trials):
             random = np.random.default_rng(trial)
-            found = observed(target, sigma_px, boards(shots, random), random)
+            detections = observed(target, sigma_px, boards(shots, random), random)
             start = time.perf_counter()
-            values, sigmas, bound, check = by_trinoc(target, found)
+            values, sigmas, bound, check = by_trinoc(target, detections)
             seconds.append(time.perf_counter() - start)
             halves.append(np.nan if check is None else check.ratio)
-            claimed.append([(values[k] - true[k]) / sigmas[k] for k in (*lens_keys, *pose_keys)])
+            normalised.append([(values[k] - true[k]) / sigmas[k] for k in (*lens_keys, *pose_keys)])
             chains = {
-                "trinoc": lambda target, found, own=values: own,
+                "trinoc": lambda target, detections, estimates=values: estimates,
                 "cv2 calibrateCamera + stereoCalibrate": partial(by_opencv, free=False),
                 "cv2 the same, lenses free in stereo": partial(by_opencv, free=True),
                 "cv2.calibrateMultiview": by_multiview,
@@ -258,11 +272,11 @@ def run(trials: int, shots: int) -> None:
                 chains["mrcal"] = by_mrcal
             for chain, estimate in chains.items():
                 try:
-                    own = estimate(target, found)
+                    estimates = estimate(target, detections)
                 except cv2.error as error:
                     print(f"  {chain} fails: {str(error).split('(-')[-1][:160]}")
                     continue
-                row = [(own[k] - true[k]) / bound[k] for k in (*lens_keys, *pose_keys)]
+                row = [(estimates[k] - true[k]) / bound[k] for k in (*lens_keys, *pose_keys)]
                 errors.setdefault(chain, []).append(row)
         count = len(lens_keys)
         print(f"\n{title}, {sigma_px} px, 3 cameras, {shots} shots, {trials} trials")
@@ -270,7 +284,7 @@ def run(trials: int, shots: int) -> None:
         for chain, rows in errors.items():
             table = np.array(rows)
             print(f"  {chain:42} {rms(table[:, :count]):9.2f} {rms(table[:, count:]):7.2f}")
-        table = np.array(claimed)
+        table = np.array(normalised)
         print(f"  error over claimed sigma                   {rms(table[:, :count]):9.2f} "
               f"{rms(table[:, count:]):7.2f}")  # fmt: skip
         print(f"  halves over claimed sigmas: {np.nanmean(halves):.2f}; "

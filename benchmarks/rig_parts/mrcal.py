@@ -18,7 +18,7 @@ Found = Mapping[str, Sequence[Detection | None]]
 
 def calibrate_by_mrcal(
     board: Chessboard,
-    found: Found,
+    detections: Found,
     size_px: tuple[int, int],
     coefficients: int,
     options: Sequence[str],
@@ -26,17 +26,17 @@ def calibrate_by_mrcal(
     """(each camera's intrinsics and [turn, shift] from the first camera's frame, seconds)."""
     with tempfile.TemporaryDirectory() as folder:
         lines = ["# filename x y level"]
-        for name, own in found.items():
-            for shot, detection in enumerate(own):
-                places = np.full((len(board), 2), np.nan)
+        for name, camera_detections in detections.items():
+            for shot, detection in enumerate(camera_detections):
+                pixels = np.full((len(board), 2), np.nan)
                 if detection is not None:
-                    places[detection.circle_index] = detection.centres_px
+                    pixels[detection.circle_index] = detection.centres_px
                 if detection is None:
                     continue
                 lines += [
                     f"{name}{shot:03}.png {u:.6f} {v:.6f} 0" if np.isfinite(u) else
                     f"{name}{shot:03}.png - - -"
-                    for u, v in places
+                    for u, v in pixels
                 ]  # fmt: skip
         Path(folder, "corners.vnl").write_text("\n".join(lines) + "\n", encoding="utf-8")
         start = time.perf_counter()
@@ -47,7 +47,7 @@ def calibrate_by_mrcal(
                 *("--imagersize", *map(str, size_px), "--object-spacing", str(board.square_mm)),
                 *("--object-width-n", str(board.columns), "--object-height-n", str(board.rows)),
                 *options,
-                *(f"{name}*.png" for name in found),
+                *(f"{name}*.png" for name in detections),
             ],
             cwd=folder,
             capture_output=True,
@@ -59,12 +59,12 @@ def calibrate_by_mrcal(
             raise SystemExit(f"{PROGRAM} fails:\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
         return {
             name: _model(Path(folder, f"camera-{number}.cameramodel"))
-            for number, name in enumerate(found)
+            for number, name in enumerate(detections)
         }, seconds
 
 
 def _model(file: Path) -> dict:
-    """A cameramodel is a dictionary of Python with comments and values that are not."""
+    """Parse a cameramodel file: a Python dictionary with comments and non-literal values."""
     text = "\n".join(
         line.split("#")[0]
         for line in file.read_text(encoding="utf-8").splitlines()

@@ -73,24 +73,29 @@ BARE: Any = SimpleNamespace(
 
 
 class Setup(NamedTuple):
-    """Lenses by camera; turn about Y and place along X of each; board poses by a generator."""
+    """Lenses, and cameras' angle about Y and position along X, by camera; random board poses."""
 
     model: type[AbstractLens]
     lenses: dict[str, tuple[float, ...]]
-    places: dict[str, tuple[float, float]]
+    angle_and_x: dict[str, tuple[float, float]]
     boards: Callable[[int, np.random.Generator], list[np.ndarray]]
 
     def lens(self, name) -> AbstractLens:
         return self.model.from_parameters(np.array(self.lenses[name]))
 
     def cam_from_rig(self, name) -> np.ndarray:
-        angle, x = self.places[name]
+        angle, x = self.angle_and_x[name]
         turn = rotation([0, angle, 0])
         return np.column_stack([turn, -turn @ [x, 0, 0]])
 
     def cam_from_board(self, name, pose) -> np.ndarray:
-        own = self.cam_from_rig(name)
-        return np.column_stack([own[:, :3] @ pose[:, :3], own[:, :3] @ pose[:, 3] + own[:, 3]])
+        cam_from_rig = self.cam_from_rig(name)
+        return np.column_stack(
+            [
+                cam_from_rig[:, :3] @ pose[:, :3],
+                cam_from_rig[:, :3] @ pose[:, 3] + cam_from_rig[:, 3],
+            ]
+        )
 
     def pose_numbers(self, name, pose) -> dict[str, float]:
         """Rotation vector from the true rotation, and the centre, in the first camera's frame."""
@@ -101,9 +106,9 @@ class Setup(NamedTuple):
 
     def truth(self) -> dict[str, float]:
         values = {}
-        for name, own in self.lenses.items():
+        for name, lens_values in self.lenses.items():
             keys = [f"{name}.{key}" for key in self.model.parameter_names]
-            values |= dict(zip(keys, own, strict=True))
+            values |= dict(zip(keys, lens_values, strict=True))
             true = relative(self.cam_from_rig("left"), self.cam_from_rig(name))
             values |= self.pose_numbers(name, true)
         return values
@@ -148,16 +153,16 @@ def rendered(board, lens, pose, *, paper=PAPER, ink=INK, blur_px=BLUR_PX, fine=8
 
 @jax.jit
 def motion(lens, pose, uv_px):
-    """(n, 2, 14) of what pixels show, by eight numbers of the lens and a step of the pose."""
+    """(n, 2, 14) derivatives of pixels by eight lens parameters and a step of the pose."""
 
     def of_pixel(uv):
         ray = lens.unproject(uv)
         point = ray * (pose[:, 2] @ pose[:, 3]) / (pose[:, 2] @ ray)
 
         def after(step):
-            own = lens.retract(step[:FOUND])
+            changed_lens = lens.retract(step[:FOUND])
             turned = rotation_from_vector(step[8:11]) @ (point - pose[:, 3])
-            return own.project_ray(turned + pose[:, 3] + step[11:])
+            return changed_lens.project_ray(turned + pose[:, 3] + step[11:])
 
         return jax.jacfwd(after)(jnp.zeros(14))
 
@@ -165,7 +170,7 @@ def motion(lens, pose, uv_px):
 
 
 def information(board, lens, pose) -> np.ndarray:
-    """(14, 14) of one picture, its light, ink and blur eliminated."""
+    """(14, 14) information of one picture; its light, ink and blur are eliminated."""
 
     shown = partial(rendered, fine=3)  # enough for derivatives
 
@@ -185,8 +190,8 @@ def information(board, lens, pose) -> np.ndarray:
         shown(board, lens, pose, ink=INK + 1) - still,
         (shown(board, lens, pose, blur_px=0.72) - shown(board, lens, pose, blur_px=0.68)) / 0.04,
     ]
-    whole = np.stack([look.ravel() for look in looks])
-    inner, across = whole @ whole.T, rows @ whole[:, used].T
+    nuisance = np.stack([look.ravel() for look in looks])
+    inner, across = nuisance @ nuisance.T, rows @ nuisance[:, used].T
     return (rows @ rows.T - across @ np.linalg.solve(inner, across.T)) / VARIANCE
 
 
@@ -194,55 +199,55 @@ def skew(v) -> np.ndarray:
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
-def bound(setup, board, poses, seen) -> dict[str, float]:
+def bound(setup, board, poses, is_seen) -> dict[str, float]:
     """Standard deviations of lenses, and of poses in the frame of the first camera.
 
-    seen : whether the board is found, by camera and shot.
+    is_seen : whether the board is found, by camera and shot.
     """
-    whole = np.zeros((HEAD + 6 * SHOTS,) * 2)
+    total = np.zeros((HEAD + 6 * SHOTS,) * 2)
     for k, name in enumerate(setup.lenses):
-        own, lens = setup.cam_from_rig(name), setup.lens(name)
+        rig_pose, lens = setup.cam_from_rig(name), setup.lens(name)
         for s, pose in enumerate(poses):
-            if not seen[name][s]:
+            if not is_seen[name][s]:
                 continue
             both = setup.cam_from_board(name, pose)
-            chain = np.zeros((14, len(whole)))
+            chain = np.zeros((14, len(total)))
             chain[:8, 8 * k : 8 * k + 8] = np.eye(8)
             first, last = 24 + 6 * k, HEAD + 6 * s
             chain[8:, first : first + 6] = np.eye(6)
-            chain[11:, first : first + 3] = -skew(own[:, :3] @ pose[:, 3])
-            chain[8:11, last : last + 3] = chain[11:, last + 3 : last + 6] = own[:, :3]
-            whole += chain.T @ information(board, lens, both) @ chain
-    kept = np.r_[:24, 30 : len(whole)]  # the first camera's pose is held
-    covariance = np.zeros_like(whole)
-    covariance[np.ix_(kept, kept)] = np.linalg.inv(whole[np.ix_(kept, kept)])
+            chain[11:, first : first + 3] = -skew(rig_pose[:, :3] @ pose[:, 3])
+            chain[8:11, last : last + 3] = chain[11:, last + 3 : last + 6] = rig_pose[:, :3]
+            total += chain.T @ information(board, lens, both) @ chain
+    free = np.r_[:24, 30 : len(total)]  # the first camera's pose is fixed
+    covariance = np.zeros_like(total)
+    covariance[np.ix_(free, free)] = np.linalg.inv(total[np.ix_(free, free)])
     sigma = {}
     for k, name in enumerate(setup.lenses):
-        own = np.sqrt(np.diag(covariance)[8 * k : 8 * k + 8])
-        sigma |= {f"{name}.{key}": s for key, s in zip(setup.model.parameter_names, own)}
+        sigmas = np.sqrt(np.diag(covariance)[8 * k : 8 * k + 8])
+        sigma |= {f"{name}.{key}": s for key, s in zip(setup.model.parameter_names, sigmas)}
         if not k:
             continue
         pose = relative(setup.cam_from_rig("left"), setup.cam_from_rig(name))
         along = pose[:, :3] @ setup.cam_from_rig("left")[:, 3]
-        rows = np.zeros((6, len(whole)))
+        rows = np.zeros((6, len(total)))
         first = 24 + 6 * k
         rows[:3, first : first + 3] = np.degrees(np.eye(3))
         rows[3:, first : first + 3] = -pose[:, :3].T @ (skew(pose[:, 3]) + skew(along))
         rows[3:, first + 3 : first + 6] = -pose[:, :3].T
-        own = np.sqrt(np.diag(rows @ covariance @ rows.T))
-        sigma |= {f"{name}.{key}": s for key, s in zip(POSE, own, strict=True)}
+        sigmas = np.sqrt(np.diag(rows @ covariance @ rows.T))
+        sigma |= {f"{name}.{key}": s for key, s in zip(POSE, sigmas, strict=True)}
     return sigma
 
 
 def by_trinoc(setup, board, pictures, method):
-    found = calibrate_rig(
+    result = calibrate_rig(
         pictures, board, world="left", systematics=Systematics(), distortion=4, method=method,
         lens_model=setup.model.model,
     )  # fmt: skip
-    values = dict(zip(found.parameters, found.values.tolist(), strict=True))
+    values = dict(zip(result.parameters, result.values.tolist(), strict=True))
     for name in setup.lenses:
-        values |= setup.pose_numbers(name, np.asarray(found.rig[name].cam_from_world))
-    return values, {name: found.sigma(name) for name in found.parameters}, found
+        values |= setup.pose_numbers(name, np.asarray(result.rig[name].cam_from_world))
+    return values, {name: result.sigma(name) for name in result.parameters}, result
 
 
 def is_found(board, picture) -> bool:
@@ -253,41 +258,48 @@ def is_found(board, picture) -> bool:
 
 
 def labelled(result) -> dict:
-    """The detections of each camera by shot, turned as all cameras have them."""
-    found = {name: [None] * SHOTS for name in result.cameras}
+    """Detections of each camera by shot, with the orientation that all cameras agree on."""
+    detections = {name: [None] * SHOTS for name in result.cameras}
     for view in result.views:
-        found[result.cameras[view.camera]][view.shot] = view.detection
-    return found
+        detections[result.cameras[view.camera]][view.shot] = view.detection
+    return detections
 
 
-def by_opencv_fisheye(setup, board, found) -> dict[str, float]:
+def by_opencv_fisheye(setup, board, detections) -> dict[str, float]:
     values, lenses = {}, {}
     fixed = cv2.CALIB_FIX_SKEW | cv2.CALIB_USE_INTRINSIC_GUESS
     flags = fixed | cv2.CALIB_RECOMPUTE_EXTRINSIC
-    for name, own in found.items():
-        pairs = [points(board, each) for each in own if each is not None]
+    for name, camera_detections in detections.items():
+        pairs = [
+            points(board, detection) for detection in camera_detections if detection is not None
+        ]
         start = np.array([[260.0, 0, 319.5], [0, 260.0, 239.5], [0, 0, 1]])
-        place, seen = ([each.astype(float).swapaxes(0, 1) for each in part] for part in zip(*pairs))
+        board_points, pixels = (
+            [array.astype(float).swapaxes(0, 1) for array in part] for part in zip(*pairs)
+        )
         _, matrix, curve, *_ = cv2.fisheye.calibrate(
-            list(place), list(seen), SIZE_PX, start, np.zeros(4), flags=flags,
+            list(board_points), list(pixels), SIZE_PX, start, np.zeros(4), flags=flags,
             criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-9),
         )  # fmt: skip
         lenses[name] = matrix, np.ravel(curve)
-        own = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.ravel(curve)]
+        parameters = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.ravel(curve)]
         keys = [f"{name}.{key}" for key in setup.model.parameter_names]
-        values |= dict(zip(keys, own, strict=True))
-    for name in list(found)[1:]:
-        place, one, other = [], [], []
-        for a, b in zip(found["left"], found[name], strict=True):
+        values |= dict(zip(keys, parameters, strict=True))
+    for name in list(detections)[1:]:
+        board_points, first_px, second_px = [], [], []
+        for a, b in zip(detections["left"], detections[name], strict=True):
             if not (a and b):
                 continue
             both, in_a, in_b = np.intersect1d(a.circle_index, b.circle_index, return_indices=True)
-            place.append(np.pad(board.centres_mm[both], ((0, 0), (0, 1)))[None])
-            one.append(a.centres_px[in_a][None])
-            other.append(b.centres_px[in_b][None])
+            board_points.append(np.pad(board.centres_mm[both], ((0, 0), (0, 1)))[None])
+            first_px.append(a.centres_px[in_a][None])
+            second_px.append(b.centres_px[in_b][None])
         (m1, d1), (m2, d2) = lenses["left"], lenses[name]
-        fewest = min(each.shape[1] for each in place)  # it takes as many places of every shot
-        cut = [[each[:, :fewest] for each in part] for part in (place, one, other)]
+        # OpenCV requires equally many points of every shot.
+        fewest = min(array.shape[1] for array in board_points)
+        cut = [
+            [array[:, :fewest] for array in part] for part in (board_points, first_px, second_px)
+        ]
         turn, shift = cv2.fisheye.stereoCalibrate(
             *cut, m1, d1, m2, d2, SIZE_PX, flags=cv2.CALIB_FIX_INTRINSIC
         )[5:7]
@@ -300,7 +312,7 @@ def measure(setup: Setup, title: str, scenes: int, trials: int) -> None:
     lens_keys = [k for k in true if k.split(".")[1] in setup.model.parameter_names[:FOUND]]
     pose_keys = [k for k in true if k.split(".")[1] in POSE and not k.startswith("left.")]
     keys, count = [*lens_keys, *pose_keys], len(lens_keys)
-    errors, claimed, claims, seconds = {}, {}, {}, {}
+    errors, normalised, sigma_ratios, seconds = {}, {}, {}, {}
     for scene in range(scenes):
         poses = setup.boards(SHOTS, np.random.default_rng(scene))
         clean = {}
@@ -309,16 +321,18 @@ def measure(setup: Setup, title: str, scenes: int, trials: int) -> None:
                 rendered(board, setup.lens(name), setup.cam_from_board(name, pose))
                 for pose in poses
             ]
-        seen = {name: [is_found(board, picture) for picture in own] for name, own in clean.items()}
-        least = bound(setup, board, poses, seen)
+        is_seen = {
+            name: [is_found(board, picture) for picture in images] for name, images in clean.items()
+        }
+        bounds = bound(setup, board, poses, is_seen)
         for trial in range(trials):
             random = np.random.default_rng(1000 * scene + trial)
             pictures = {
                 name: [
                     np.rint(np.clip(p + NOISE * random.normal(size=p.shape), 0, 255)).astype("u1")
-                    for p in own
+                    for p in images
                 ]
-                for name, own in clean.items()
+                for name, images in clean.items()
             }
             for method in ("pixels", "points"):
                 start = time.perf_counter()
@@ -329,12 +343,12 @@ def measure(setup: Setup, title: str, scenes: int, trials: int) -> None:
                     continue
                 seconds.setdefault(method, []).append(time.perf_counter() - start)
                 off = np.array([values[k] - true[k] for k in keys])
-                errors.setdefault(method, []).append(off / [least[k] for k in keys])
-                own = np.array([sigmas[k] for k in keys])
-                claimed.setdefault(method, []).append(off / own)
-                claims.setdefault(method, []).append(own / [least[k] for k in keys])
+                errors.setdefault(method, []).append(off / [bounds[k] for k in keys])
+                sigma = np.array([sigmas[k] for k in keys])
+                normalised.setdefault(method, []).append(off / sigma)
+                sigma_ratios.setdefault(method, []).append(sigma / [bounds[k] for k in keys])
                 print(f"  {scene} {trial} {method}", *(f"{rms(rows[method][-1]):.2f}" for rows in
-                      (errors, claimed, claims)), file=sys.stderr)  # fmt: skip
+                      (errors, normalised, sigma_ratios)), file=sys.stderr)  # fmt: skip
             try:
                 if setup is FISHEYE:
                     values = by_opencv_fisheye(setup, board, labelled(result))
@@ -344,7 +358,7 @@ def measure(setup: Setup, title: str, scenes: int, trials: int) -> None:
                 print(f"  cv2 fails: {str(error)[:120]}")
                 continue
             off = np.array([values[k] - true[k] for k in keys])
-            errors.setdefault("cv2", []).append(off / [least[k] for k in keys])
+            errors.setdefault("cv2", []).append(off / [bounds[k] for k in keys])
     print(f"\n{title}, {setup.model.model}: {scenes} scenes, {trials} draws of noise each")
     print(
         "rms of            error over the bound: lenses, poses   over its claimed sigma"
@@ -353,9 +367,9 @@ def measure(setup: Setup, title: str, scenes: int, trials: int) -> None:
     for chain, rows in errors.items():
         table = np.array(rows)
         line = f"  {chain:26}{rms(table[:, :count]):9.2f} {rms(table[:, count:]):7.2f}"
-        if chain in claimed:
-            for own in (np.array(claimed[chain]), np.array(claims[chain])):
-                line += f" {rms(own[:, :count]):17.2f} {rms(own[:, count:]):7.2f}"
+        if chain in normalised:
+            for scores in (np.array(normalised[chain]), np.array(sigma_ratios[chain])):
+                line += f" {rms(scores[:, :count]):17.2f} {rms(scores[:, count:]):7.2f}"
             line += f" {np.median(seconds[chain]):10.1f}"
         print(line, flush=True)
 

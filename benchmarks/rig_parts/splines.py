@@ -51,7 +51,7 @@ unproject = jax.jit(jax.vmap(lambda lens, uv_px: lens.unproject(uv_px), (None, 0
 
 
 class Error(NamedTuple):
-    """Over the field, in px: root mean square, largest; claimed sigma, and error over it."""
+    """Errors over the field in px: rms, largest, reported sigma, and error over sigma."""
 
     rms: float
     largest: float
@@ -60,7 +60,7 @@ class Error(NamedTuple):
 
 
 class Bump(NamedTuple):
-    """By how much pixels of the core are moved (2,), about where, how far around; px."""
+    """Displacement of the core's pixels: amplitude (2,), centre and width, px."""
 
     height: Float[np.ndarray, "2"]
     middle: Float[np.ndarray, "2"]
@@ -68,12 +68,12 @@ class Bump(NamedTuple):
 
 
 def bump_of(seed: int, height_px: float) -> Bump:
-    """Somewhere in the picture, but not at its edge."""
+    """A bump at a random position of the picture, not at its edge."""
     random = np.random.default_rng(1000 + seed)
-    way = random.uniform(0.0, 2.0 * np.pi)
+    angle = random.uniform(0.0, 2.0 * np.pi)
     middle = random.uniform(0.15, 0.85, 2) * SIZE_PX
     return Bump(
-        height_px * np.array([np.cos(way), np.sin(way)]), middle, random.uniform(100.0, 180.0)
+        height_px * np.array([np.cos(angle), np.sin(angle)]), middle, random.uniform(100.0, 180.0)
     )
 
 
@@ -85,22 +85,22 @@ def seen(rays: Float[np.ndarray, "n 3"], bump: Bump) -> Float[np.ndarray, "n 2"]
 
 
 def shots(count: int, seed: int, bump: Bump) -> list[Detection]:
-    """The board held all over the picture, tilted by up to 40 degrees."""
-    random, made = np.random.default_rng(seed), []
-    while len(made) < count:
+    """Detections of a board all over the picture, tilted by up to 40 degrees."""
+    random, detections = np.random.default_rng(seed), []
+    while len(detections) < count:
         about, tilt = random.uniform(0, 2 * np.pi), np.radians(random.uniform(16, 40))
         turn = Rotation.from_rotvec(tilt * np.array([np.cos(about), np.sin(about), 0.0]))
         turn = turn * Rotation.from_rotvec([0.0, 0.0, random.uniform(-0.3, 0.3)])
         depth = random.uniform(330.0, 500.0)
-        place = depth * np.array([*random.uniform((-0.45, -0.3), (0.45, 0.3)), 1.0])
+        position = depth * np.array([*random.uniform((-0.45, -0.3), (0.45, 0.3)), 1.0])
         facing = turn.as_matrix() @ np.diag([1.0, -1.0, -1.0])
-        points = BOARD.centres_mm @ facing[:, :2].T + place
+        points = BOARD.centres_mm @ facing[:, :2].T + position
         uv_px = seen(points, bump)
         inside = ((uv_px > 5) & (uv_px < np.array(SIZE_PX) - 6)).all(axis=1) & (points[:, 2] > 50)
         if inside.sum() < 40:
             continue
         number = int(inside.sum())
-        made.append(
+        detections.append(
             Detection(
                 circle_index=np.flatnonzero(inside),
                 centres_px=uv_px[inside] + random.normal(0, SIGMA_PX, (number, 2)),
@@ -110,20 +110,20 @@ def shots(count: int, seed: int, bump: Bump) -> list[Detection]:
                 image_size_px=SIZE_PX,
             )
         )
-    return made
+    return detections
 
 
 def field_rays() -> Float[np.ndarray, "n 3"]:
     """Rays of the core, to all of the picture but its edge."""
     u, v = (np.linspace(20, side - 21, n) for side, n in zip(SIZE_PX, (24, 18)))
-    places = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    return np.asarray(unproject(CORE, places))
+    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    return np.asarray(unproject(CORE, pixels))
 
 
 def turned_error(
     pixels: Callable[[np.ndarray], np.ndarray], bump: Bump
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "3"]]:
-    """Errors of a lens over the field, after the turn that makes them least, and that turn."""
+    """Errors of a lens over the field after the rotation that minimises them, and the rotation."""
     rays, true = field_rays(), seen(field_rays(), bump)
 
     def off(turn: np.ndarray) -> np.ndarray:
@@ -136,7 +136,7 @@ def turned_error(
 def sigmas_px(
     lens: AbstractLens, covariance: np.ndarray, turn: np.ndarray
 ) -> Float[np.ndarray, "n 2"]:
-    """Claimed, of the same pixels, a turn taken out."""
+    """Reported sigmas of the same pixels, without the part that a rotation explains."""
     rays = field_rays() @ Rotation.from_rotvec(turn).as_matrix().T
 
     @jax.jit
@@ -171,14 +171,14 @@ def by_trinoc(made: Sequence[Detection], model: str, bump: Bump) -> tuple[Error,
 
 
 def by_mrcal(made: Sequence[Detection], model: str, bump: Bump) -> tuple[Error, float]:
-    """(error, seconds); mrcal's sigmas are not asked for."""
+    """(error, seconds); the sigmas are NaN, because mrcal is not asked for them."""
     lines = ["# filename x y level"]
     for shot, detection in enumerate(made):
-        places = np.full((len(BOARD), 2), np.nan)
-        places[detection.circle_index] = detection.centres_px
+        corners_px = np.full((len(BOARD), 2), np.nan)
+        corners_px[detection.circle_index] = detection.centres_px
         lines += [
             f"c{shot:03}.png {u:.6f} {v:.6f} 0" if np.isfinite(u) else f"c{shot:03}.png - - -"
-            for u, v in places
+            for u, v in corners_px
         ]
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "corners.vnl").write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -209,27 +209,27 @@ def by_mrcal(made: Sequence[Detection], model: str, bump: Bump) -> tuple[Error, 
 
 def run(trials: int, shots_each: int, bump_px: float) -> None:
     """Print one row for each lens."""
-    ways: dict[str, Callable[[Sequence[Detection], str, Bump], tuple[Error, float]]] = {
+    methods: dict[str, Callable[[Sequence[Detection], str, Bump], tuple[Error, float]]] = {
         "brown_conrady": by_trinoc,
         "rational": by_trinoc,
         "splined_brown_conrady": by_trinoc,
     }
     if shutil.which(PROGRAM) is not None:
-        ways |= {"LENSMODEL_OPENCV8": by_mrcal, MRCAL_SPLINES: by_mrcal}
+        methods |= {"LENSMODEL_OPENCV8": by_mrcal, MRCAL_SPLINES: by_mrcal}
     bumps = [bump_of(seed, bump_px) for seed in range(trials)]
     draws = [shots(shots_each, seed, bump) for seed, bump in enumerate(bumps)]
     print("lens: rms px, largest px, claimed sigma px, error over it; seconds of the last draw")
-    for model, way in ways.items():
-        told = []
+    for model, method in methods.items():
+        results = []
         for made, bump in zip(draws, bumps, strict=True):
             try:
-                told.append(way(made, model, bump))
+                results.append(method(made, model, bump))
             except subprocess.CalledProcessError as error:
                 print(f"{model} fails: {error.stderr.strip().splitlines()[-1:]}")
-        errors = np.array([error for error, _ in told])
+        errors = np.array([error for error, _ in results])
         rms, sigma = (np.sqrt(np.mean(errors[:, k] ** 2)) for k in (0, 2))
         print(
             f"{model:24} {rms:.4f} {errors[:, 1].mean():.3f} {sigma:.4f} {rms / sigma:.2f}; "
-            f"{told[-1][1]:.1f} s, {len(told)} draws",
+            f"{results[-1][1]:.1f} s, {len(results)} draws",
             flush=True,
         )

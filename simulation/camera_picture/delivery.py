@@ -56,7 +56,7 @@ class SCurve(eqx.Module):
     contrast: float = 0.4
 
     def encode(self, signal: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """The response below, bent."""
+        """The response with an S-shaped curve on top."""
         x = self.below.encode(signal)
         return (1 - self.contrast) * x + self.contrast * x * x * (3 - 2 * x)
 
@@ -97,7 +97,7 @@ class Bilateral(eqx.Module):
 
 
 class NonLocalMeans(eqx.Module):
-    """Pixels that look alike averaged (Buades, Coll and Morel, doi 10.5201/ipol.2011.bcm_nlm).
+    """Mean of similar pixels (Buades, Coll and Morel, doi 10.5201/ipol.2011.bcm_nlm).
 
     Patches of 3 x 3 pixels within 11 x 11; `levels` is the mean absolute difference, in grey
     levels of 8 bits, at which a patch counts little.
@@ -117,7 +117,7 @@ class NonLocalMeans(eqx.Module):
 def remove_noise(
     signal: Float[np.ndarray, "h w *channels"], denoiser: Denoiser | None
 ) -> Float[np.ndarray, "h w *channels"]:
-    """The signal with less noise; as it is without a denoiser."""
+    """The signal after the denoiser; unchanged if that is None."""
     if denoiser is None:
         return signal
     if signal.ndim == 2:
@@ -150,14 +150,14 @@ def demosaic(
 
 
 class Sharpening(eqx.Module):
-    """Unsharp masking: `amount` times what a Gaussian of `radius_px` takes away is added."""
+    """Unsharp masking: adds `amount` times the detail that a Gaussian of `radius_px` removes."""
 
     radius_px: float = 1.0
     amount: float = 0.5
 
 
 class Processing(eqx.Module):
-    """What a camera does to its signal, in this order.
+    """Steps that a camera applies to its signal, in this order.
 
     Fields
     ------
@@ -193,7 +193,7 @@ def deliver_picture(
 def sharpen(
     grey: Float[np.ndarray, "h w *channels"], sharpening: Sharpening | None
 ) -> Float[np.ndarray, "h w *channels"]:
-    """The picture with its edges lifted; as it is without sharpening."""
+    """The sharpened picture; unchanged if `sharpening` is None."""
     if sharpening is None:
         return grey
     soft = cv2.GaussianBlur(grey, (0, 0), sharpening.radius_px)

@@ -1,4 +1,4 @@
-"""What lies on the sheet, one layer over the other, as grey levels on the plane Z = 0."""
+"""Layers on the sheet, one over the other, as grey levels on the plane Z = 0."""
 
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
@@ -16,7 +16,7 @@ class Layer(Protocol):
 
     @property
     def local(self) -> bool:
-        """Whether nothing changes outside the box round the outline's image."""
+        """True if nothing changes outside the box round the outline's image."""
         ...
 
     def over(
@@ -56,7 +56,7 @@ class Paint(eqx.Module):
         *,
         cells: bool = False,
     ) -> Float[np.ndarray, "*n"]:
-        """The figure's grey where it lies, what was below elsewhere."""
+        """The figure's grey inside the figure, the given grey levels elsewhere."""
         share = coverage_share(self.shape, points_mm, cells=cells)
         return grey + share * (self.grey - grey)
 
@@ -84,7 +84,7 @@ def finger(
     width_mm: float = 17.0,
     grey: float = 0.45,
 ) -> Paint:
-    """A finger from its tip on into the hand, `direction_deg` from X toward Y."""
+    """A finger from its tip toward the hand, in `direction_deg` from X toward Y."""
     angle = np.radians(direction_deg)
     along = np.array([np.cos(angle), np.sin(angle)])
     start = np.array(tip_mm) + width_mm / 2 * along
@@ -101,7 +101,7 @@ def coverage_share(
 
 
 def coverage_of_points(level: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """1 where the level is below zero, else 0; also 0 where it is NaN."""
+    """Coverage of points: 1 if the level is below zero; 0 otherwise, also for NaN."""
     return (level < 0).astype(np.float64)
 
 

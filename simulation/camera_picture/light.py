@@ -1,4 +1,4 @@
-"""Light on the sheet, and what of it goes straight to the lens."""
+"""Light on the sheet, and its direct reflection toward the lens."""
 
 import equinox as eqx
 import numpy as np
@@ -43,12 +43,12 @@ class Shadow(eqx.Module):
         return np.where(np.isfinite(shaded), grey * (1 - (1 - self.light_left) * shaded), grey)
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
-        """The edge, a metre to both sides; as many lines beside it as the penumbra is wide."""
+        """The edge, a metre to both sides, and parallel lines over the width of the penumbra."""
         along = np.array([-self._normal[1], self._normal[0]])
         line = np.array(self.point_mm) + np.arange(-1000.0, 1000.0, step_mm)[:, None] * along
         reach = min(3 * max(self.penumbra_mm, 0.1), 3.0)
-        beside = np.arange(-reach, reach + step_mm / 2, step_mm)
-        return np.concatenate([line + offset * self._normal for offset in beside])
+        offsets_mm = np.arange(-reach, reach + step_mm / 2, step_mm)
+        return np.concatenate([line + offset * self._normal for offset in offsets_mm])
 
     @property
     def _normal(self) -> Float[np.ndarray, "2"]:
@@ -57,7 +57,7 @@ class Shadow(eqx.Module):
 
 
 class GlareLamp(eqx.Module):
-    """A lamp whose reflection the sheet shows, in paper and ink alike.
+    """A lamp that paper and ink reflect equally, as glare.
 
     Fields
     ------
@@ -74,7 +74,7 @@ class GlareLamp(eqx.Module):
 
 
 class Illumination(eqx.Module):
-    """Light as it differs over the sheet and over the picture.
+    """Variation of the light over the sheet and over the picture.
 
     Fields
     ------
@@ -95,7 +95,7 @@ class Illumination(eqx.Module):
 def light_on_sheet(
     light: Illumination, points_mm: Float[np.ndarray, "*n 2"]
 ) -> Float[np.ndarray, "*n"]:
-    """Light at points of the sheet over that at its middle, shadows apart; 1 where NaN."""
+    """Light at points of the sheet over that at its middle, without shadows; 1 at NaN points."""
     x, y = points_mm[..., 0] / 100.0, points_mm[..., 1] / 100.0
     (a, b), (xx, xy, yy) = light.slope, light.curvature
     field = np.maximum(1 + a * x + b * y + xx * x**2 + xy * x * y + yy * y**2, 0.0)
@@ -105,7 +105,7 @@ def light_on_sheet(
 def passed_by_lens(
     light: Illumination, image_size_px: tuple[int, int], margin_px: int
 ) -> Float[np.ndarray, "h w"]:
-    """Share of the light that the lens lets through at each pixel, falling with radius^2."""
+    """Share of the light that the lens transmits to each pixel; it decreases with radius^2."""
     width, height = image_size_px
     middle = np.array([(width - 1) / 2, (height - 1) / 2])
     offset = pixel_grid_px(image_size_px, margin_px) - middle
@@ -115,7 +115,7 @@ def passed_by_lens(
 def reflection(
     lamp: GlareLamp, camera: Camera, points_world_mm: Float[np.ndarray, "h w 3"]
 ) -> Float[np.ndarray, "h w"]:
-    """Radiance of the lamp's reflection where pixels see the points of the world.
+    """Radiance of the lamp's reflection at points of the world, toward a camera.
 
     The share of facets that stand as mirrors, exp(-tan^2 / roughness^2) of the angle between
     the half-way direction and the surface's normal (Beckmann and Spizzichino, 1963).

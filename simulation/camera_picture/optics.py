@@ -15,7 +15,7 @@ from trinoc.errors import InputError
 
 
 class Optics(eqx.Module):
-    """What blurs a picture.
+    """Blur of a picture by lens, defocus and motion.
 
     Fields
     ------
@@ -32,7 +32,7 @@ class Optics(eqx.Module):
 
     @property
     def reach_px(self) -> int:
-        """How many pixels away light still counts: six sigmas, and the pixel's half."""
+        """Distance in pixels to which light counts: six sigmas, and the pixel's half."""
         return int(np.ceil(6 * self.blur_px + self.defocus_px + self.motion_px / 2 + 0.5))
 
     @property
@@ -58,10 +58,10 @@ def irradiance(radiance: Radiance, optics: Optics) -> Float[np.ndarray, "h w"]:
     cells = radiance.by_cell.shape[1]
     weights = spread_of_cells(optics, cells)
     # What a pixel sends to those about it, as if it were all one level; `filter2D` correlates.
-    whole = np.ascontiguousarray(weights.sum(axis=(2, 3))[::-1, ::-1])
+    pixel_spread = np.ascontiguousarray(weights.sum(axis=(2, 3))[::-1, ::-1])
     light = np.zeros((height + 2 * reach, width + 2 * reach))
     light[reach : reach + height, reach : reach + width] = cv2.filter2D(
-        radiance.by_pixel, -1, whole
+        radiance.by_pixel, -1, pixel_spread
     )
     # And what the cells of divided pixels send beyond that.
     excess = (radiance.by_cell - radiance.by_pixel[row, column, None, None]).reshape(len(row), -1)
@@ -75,7 +75,7 @@ def irradiance(radiance: Radiance, optics: Optics) -> Float[np.ndarray, "h w"]:
 
 
 def spread_of_cells(optics: Optics, cells: int) -> Float[np.ndarray, "k k cells cells"]:
-    """What each cell of a pixel sends to pixels up to `reach_px` rows and columns away."""
+    """Light from each cell of a pixel to pixels up to `reach_px` rows and columns away."""
     reach = optics.reach_px
     side = (2 * reach + 1) * cells
     fu = np.fft.fftfreq(side, 1 / cells)[None, :]
@@ -103,18 +103,21 @@ def lens_transfer(
 def gaussian_transfer(
     frequency: Float[np.ndarray, "*n"], sigma_px: float
 ) -> Float[np.ndarray, "*n"]:
-    """Of a Gaussian, along one axis."""
+    """Transfer function of a Gaussian, along one axis."""
     return np.exp(-2 * (np.pi * sigma_px * frequency) ** 2)
 
 
 def disc_transfer(frequency: Float[np.ndarray, "*n"], radius_px: float) -> Float[np.ndarray, "*n"]:
-    """Of a disc of even light, by the length of the frequency: 2 J1(x) / x (Goodman, 2.1.6)."""
+    """Transfer function of a disc of even light, by the length of the frequency.
+
+    It is 2 J1(x) / x (Goodman, 2.1.6).
+    """
     x = np.maximum(2 * np.pi * radius_px * frequency, 1e-12)
     return 2 * j1(x) / x
 
 
 def pixel_transfer(frequency: Float[np.ndarray, "*n"], cells: int) -> Complex[np.ndarray, "*n"]:
-    """Of the mean over a pixel's cells along one axis, from its first cell on.
+    """Transfer function of the mean over a pixel's cells along one axis, from its first cell on.
 
     The radiance is a mean over each cell already; the mean over cells makes that the pixel's.
     """

@@ -1,4 +1,4 @@
-"""The printed sheet: what the ink covers, how much light paper and ink give back, the table."""
+"""The printed sheet: figures of ink, reflectances of paper and ink, and the table."""
 
 from typing import Protocol, runtime_checkable
 
@@ -19,7 +19,7 @@ _GRAIN = np.array(
 
 @runtime_checkable
 class SheetFigures(Protocol):
-    """Circles and crossed lines in mm on Z = 0; the fields mean what `trinoc.Pattern`'s do."""
+    """Circles and crossed lines in mm on Z = 0, with fields as of `trinoc.Pattern`."""
 
     centres_mm: Float[np.ndarray, "n 2"]
     radius_mm: Float[np.ndarray, "n"]
@@ -81,12 +81,12 @@ class TableTop(eqx.Module):
         *,
         cells: bool = False,
     ) -> Float[np.ndarray, "*n"]:
-        """What was below inside the sheet, wood elsewhere."""
+        """The given grey levels inside the sheet, wood elsewhere."""
         share = coverage_share(self.sheet, points_mm, cells=cells)
         wood = np.full(grey.shape, self.reflectance)
-        seen = np.isfinite(points_mm).all(axis=-1) & (share < 1.0)
-        phase = points_mm[seen] @ _GRAIN[:, 1::-1].T + _GRAIN[:, 2]
-        wood[seen] *= 1 + 0.1 * np.mean(np.sin(phase), axis=-1)
+        on_table = np.isfinite(points_mm).all(axis=-1) & (share < 1.0)
+        phase = points_mm[on_table] @ _GRAIN[:, 1::-1].T + _GRAIN[:, 2]
+        wood[on_table] *= 1 + 0.1 * np.mean(np.sin(phase), axis=-1)
         return wood + share * (grey - wood)
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
@@ -97,7 +97,7 @@ class TableTop(eqx.Module):
 def printed_layers(
     pattern: SheetFigures, *, paper: float, ink: float, ink_gain_mm: float = 0.0
 ) -> tuple[Layer, ...]:
-    """The print as layers of paint, lowest first, every edge of ink `ink_gain_mm` further out.
+    """The print as layers of paint, lowest first; all ink is grown by `ink_gain_mm`.
 
     Lines that are white inside circles stay as wide as they were drawn.
     """
@@ -136,6 +136,6 @@ def _lines(pattern: SheetFigures, ink_gain_mm: float) -> list[ConvexPolygon]:
 
 
 def _meets_a_line(pattern: SheetFigures, disc: FilledCircle) -> bool:
-    """Whether a line comes within the gap of a circle."""
+    """True if a line comes within the gap of a circle."""
     reach = disc.radius_mm + max(pattern.line_gap_mm, 0.0) + pattern.line_width_mm / 2
     return bool((np.abs(disc.centre_mm) < reach).any())

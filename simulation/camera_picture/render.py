@@ -17,7 +17,7 @@ _EVEN = Illumination()
 
 
 class Condition(eqx.Module):
-    """How a picture is taken: what is before the camera, and what the camera does, in order."""
+    """Conditions under which a picture is taken: the scene and the camera's steps, in order."""
 
     scene: SheetScene = SheetScene()
     optics: Optics = Optics()
@@ -42,7 +42,7 @@ def camera_picture(
 def delivered_picture(
     irradiance: Float[np.ndarray, "h w"], sensor: Sensor, processing: Processing, *, seed: int = 0
 ) -> Shaped[np.ndarray, "h w *channels"]:
-    """What sensor and processing make of the light on each pixel; noise is drawn by `seed`."""
+    """Picture of the light on each pixel after sensor and processing; `seed` draws the noise."""
     signal = read_out(irradiance, sensor, seed=seed)
     return deliver_picture(signal, sensor.mosaic, processing)
 
@@ -62,7 +62,7 @@ def render_sheet(
     seed: int = 0,
     bits: int | None = 8,
 ) -> Shaped[np.ndarray, "h w"]:
-    """The plain picture of a flat sheet, all told in grey levels from 0 to 255.
+    """The plain picture of a flat sheet; all inputs are grey levels from 0 to 255.
 
     A linear camera with a Gaussian blur of `blur_px`, the pixel's box apart, and `noise_sigma`.
     Paper reaches to the horizon unless there is a `table`. Without `bits`, the light on the

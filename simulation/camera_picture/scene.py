@@ -1,4 +1,4 @@
-"""Light from the sheet toward the lens, finely divided, before anything blurs it.
+"""Light from the sheet toward the lens, finely sampled, before any blur.
 
 A pixel that an edge may cross is divided into S x S cells, and each cell is the mean of the
 shares that ink, paper and table have of its area; elsewhere a pixel is all one level.
@@ -19,7 +19,7 @@ MARGIN_PX = 16
 
 
 class SheetScene(eqx.Module):
-    """What is before the camera; `covers` lie on the sheet, the lowest first."""
+    """The scene before the camera; `covers` lie on the sheet, the lowest first."""
 
     paper: Paper = Paper()
     light: Illumination = Illumination()
@@ -27,7 +27,7 @@ class SheetScene(eqx.Module):
 
 
 class Radiance(eqx.Module):
-    """Light from every place of a picture and of a margin; 1 is a perfect diffuser in full light.
+    """Light toward each pixel of a picture and its margin; 1 is a perfect diffuser in full light.
 
     Fields
     ------
@@ -61,9 +61,9 @@ def radiance(
     by_cell = np.full(cells.shape[:3], scene.paper.paper)
     for layer, (low, high) in zip(layers, boxes, strict=True):
         patch = (slice(low[0], high[0]), slice(low[1], high[1]))
-        own = ((divided >= low) & (divided < high)).all(axis=1)
+        in_box = ((divided >= low) & (divided < high)).all(axis=1)
         by_pixel[patch] = layer.over(by_pixel[patch], centres[patch])
-        by_cell[own] = layer.over(by_cell[own], cells[own], cells=True)
+        by_cell[in_box] = layer.over(by_cell[in_box], cells[in_box], cells=True)
     by_pixel *= light_on_sheet(light, centres)
     by_cell *= light_on_sheet(light, cells)
     row, column = divided.T
@@ -89,7 +89,7 @@ def _find_edge_pixels(
     And for each layer the rows and columns, from and to, outside which it changes nothing.
     """
     shape = centres_mm.shape[:2]
-    outlines, whole = _outlines_in_view(layers, centres_mm)
+    outlines, complete = _outlines_in_view(layers, centres_mm)
     if not outlines:
         return np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2, 2), dtype=np.int64)
     outlines_px = np.split(
@@ -97,8 +97,8 @@ def _find_edge_pixels(
         np.cumsum([len(outline) for outline in outlines])[:-1],
     )
     boxes = [
-        _box(outline, shape) if is_whole and layer.local else np.array([(0, 0), shape])
-        for layer, outline, is_whole in zip(layers, outlines_px, whole, strict=True)
+        _box(outline, shape) if is_complete and layer.local else np.array([(0, 0), shape])
+        for layer, outline, is_complete in zip(layers, outlines_px, complete, strict=True)
     ]
     return np.argwhere(_widen_marks(_mark_pixels(np.concatenate(outlines_px), shape))), np.array(
         boxes
@@ -108,7 +108,7 @@ def _find_edge_pixels(
 def _outlines_in_view(
     layers: tuple[Layer, ...], centres_mm: Float[np.ndarray, "h w 2"]
 ) -> tuple[list[Float[np.ndarray, "_ 2"]], list[bool]]:
-    """The layers' outlines as far as they can be seen, and whether that is all of each.
+    """Visible points of the layers' outlines, and for each layer whether all are visible.
 
     Neighbouring points are a third of the smallest pixel apart.
     """
@@ -116,19 +116,19 @@ def _outlines_in_view(
     down = np.linalg.norm(np.diff(centres_mm, axis=0), axis=-1)
     step = float(min(np.nanmin(across), np.nanmin(down))) / 3
     low, high = np.nanmin(centres_mm, axis=(0, 1)), np.nanmax(centres_mm, axis=(0, 1))
-    outlines, whole = [], []
+    outlines, complete = [], []
     for layer in layers:
         outline = layer.outline_mm(step)
-        near = ((outline >= low) & (outline <= high)).all(axis=1)
-        outlines.append(outline[near])
-        whole.append(bool(near.all()) and len(outline) > 0)
-    return outlines, whole
+        in_view = ((outline >= low) & (outline <= high)).all(axis=1)
+        outlines.append(outline[in_view])
+        complete.append(bool(in_view.all()) and len(outline) > 0)
+    return outlines, complete
 
 
 def _mark_pixels(
     uv_px: Float[np.ndarray, "n 2"], shape: tuple[int, int]
 ) -> Bool[np.ndarray, "h w"]:
-    """The pixels that hold one of the points."""
+    """Mask of the pixels that contain one of the points."""
     height, width = shape
     inside = ((uv_px > -0.5) & (uv_px < (width - 0.5, height - 0.5))).all(axis=1)
     pixel = np.rint(uv_px[inside]).astype(np.int64)
@@ -149,7 +149,7 @@ def _widen_marks(crossed: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
 
 
 def _box(uv_px: Float[np.ndarray, "n 2"], shape: tuple[int, int]) -> Int[np.ndarray, "2 2"]:
-    """Rows and columns, from and to, of the canvas that hold points, a pixel to spare."""
+    """Ranges of the canvas's rows and columns that contain points, with a pixel's margin."""
     if not np.isfinite(uv_px).all():
         return np.array([(0, 0), shape])
     low = np.clip(np.floor(uv_px.min(axis=0))[::-1] - 1, 0, shape)

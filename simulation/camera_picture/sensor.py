@@ -25,7 +25,7 @@ class Mosaic(eqx.Module):
 
 
 class Sensor(eqx.Module):
-    """What turns light into numbers.
+    """Conversion of light into grey levels.
 
     Fields
     ------

@@ -14,10 +14,10 @@ from jaxtyping import Bool, Float
 
 @runtime_checkable
 class Shape(Protocol):
-    """What a renderer asks of a plane figure."""
+    """Interface of a plane figure for the renderer."""
 
     def level_mm(self, points_mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-        """Below zero inside the figure, zero on its boundary; near it, the distance in mm."""
+        """Level: negative inside, zero on the boundary; near the boundary, the distance in mm."""
         ...
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
@@ -100,7 +100,7 @@ class Capsule(eqx.Module):
 
 
 class Intersection(eqx.Module):
-    """What two figures share."""
+    """Intersection of two figures."""
 
     first: Shape
     second: Shape
@@ -110,13 +110,13 @@ class Intersection(eqx.Module):
         return np.maximum(self.first.level_mm(points_mm), self.second.level_mm(points_mm))
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
-        """Both outlines whole, which is more than the boundary."""
+        """Both complete outlines, which contain the boundary."""
         first, second = self.first.outline_mm(step_mm), self.second.outline_mm(step_mm)
         return np.concatenate([first, second])
 
 
 class Cells(eqx.Module):
-    """Some of the cells between lines along X and Y, those that touch without a seam.
+    """Selected cells of a grid of lines along X and Y; touching cells have no seam.
 
     Chessboards, markers, grids of tags.
 
@@ -132,7 +132,7 @@ class Cells(eqx.Module):
     inside: Bool[np.ndarray, "_r _c"]
 
     def level_mm(self, points_mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-        """Distance from the nearest cell unlike the own one, up to the least width of a cell."""
+        """Signed distance from the nearest cell of the other kind, at most the least cell width."""
         x, y = points_mm[..., 0], points_mm[..., 1]
         column, row = np.searchsorted(self.x_mm, x), np.searchsorted(self.y_mm, y)
         # Cells farther than the neighbours are no nearer than this: the level has no jump.
@@ -142,13 +142,13 @@ class Cells(eqx.Module):
         across = {-1: x - lines_x[column], 0: 0.0 * x, 1: lines_x[column + 1] - x}
         along = {-1: y - lines_y[row], 0: 0.0 * y, 1: lines_y[row + 1] - y}
         around = np.pad(self.inside, 1, mode="edge")
-        own, distance = self.inside[row, column], np.full(x.shape, far)
+        is_inside, distance = self.inside[row, column], np.full(x.shape, far)
         for down in (-1, 0, 1):
             for aside in (-1, 0, 1):
-                unlike = around[row + 1 + down, column + 1 + aside] != own
+                unlike = around[row + 1 + down, column + 1 + aside] != is_inside
                 away = np.hypot(across[aside], along[down])
                 distance = np.where(unlike, np.minimum(distance, away), distance)
-        return np.where(own, -distance, distance)
+        return np.where(is_inside, -distance, distance)
 
     def outline_mm(self, step_mm: float) -> Float[np.ndarray, "k 2"]:
         """Points along the sides between cells that are unlike."""

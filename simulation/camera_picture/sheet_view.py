@@ -1,4 +1,4 @@
-"""The lens over a sheet that need not be flat: which point of the print each pixel shows.
+"""Mapping between the pixels of a lens and the points of a sheet, which may be bent.
 
 It is found by Newton's method at the centre of each pixel. In between it is so smooth that a
 quadratic through neighbouring pixels is off by (pixels / focal length)^2 of a pixel at most.
@@ -29,7 +29,7 @@ _NEWTON_STEPS, _NEWTON_PX = 8, 1e-10
 
 
 class SheetView(eqx.Module):
-    """A camera over a sheet as it lies; points are in the nominal millimetres of the layout."""
+    """A camera over a sheet; points are in the nominal millimetres of the layout."""
 
     camera: Camera
     paper: Paper
@@ -42,8 +42,8 @@ class SheetView(eqx.Module):
     def centres_mm(self, margin_px: int) -> Float[np.ndarray, "h w 2"]:
         """Points of the layout at the pixels' centres; NaN above the horizon."""
         uv = pixel_grid_px(self.image_size_px, margin_px)
-        seen = partial(_places_seen, self.camera, _as_arrays(self.paper))
-        return _in_chunks(seen, uv.reshape(-1, 2)).reshape(uv.shape)
+        locate = partial(_sheet_points_seen, self.camera, _as_arrays(self.paper))
+        return _in_chunks(locate, uv.reshape(-1, 2)).reshape(uv.shape)
 
     def cells_mm(
         self,
@@ -82,13 +82,13 @@ class SheetView(eqx.Module):
     def pixels_px(self, points_mm: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """Pixels that show points of the layout; NaN for points behind the camera."""
         return _in_chunks(
-            partial(_pixels_of_places, self.camera, _as_arrays(self.paper)), points_mm
+            partial(_pixels_of_sheet_points, self.camera, _as_arrays(self.paper)), points_mm
         )
 
     def points_world_mm(self, points_mm: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 3"]:
-        """Where points of the layout lie in the world."""
+        """World coordinates of points of the layout."""
         flat = _in_chunks(
-            partial(_points_of_places, _as_arrays(self.paper)), points_mm.reshape(-1, 2)
+            partial(_world_of_sheet_points, _as_arrays(self.paper)), points_mm.reshape(-1, 2)
         )
         return flat.reshape(*points_mm.shape[:-1], 3)
 
@@ -108,18 +108,18 @@ def cell_offsets_px(supersampling: int) -> Float[np.ndarray, "s s 2"]:
 
 
 @kept_jit
-def _places_seen(
+def _sheet_points_seen(
     camera: Camera, paper: Paper, uv_px: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 2"]:
     def one(uv: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        def image(place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-            return project(camera, _world(paper, place))
+        def image(sheet_point: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+            return project(camera, _world(paper, sheet_point))
 
         def step(state: tuple) -> tuple:
-            count, place, (u, v) = state
-            (a, b), (c, d) = jax.jacfwd(image)(place)
-            place = place - jnp.stack([d * u - b * v, a * v - c * u]) / (a * d - b * c)
-            return count + 1, place, image(place) - uv
+            count, sheet_point, (u, v) = state
+            (a, b), (c, d) = jax.jacfwd(image)(sheet_point)
+            sheet_point = sheet_point - jnp.stack([d * u - b * v, a * v - c * u]) / (a * d - b * c)
+            return count + 1, sheet_point, image(sheet_point) - uv
 
         def is_far(state: tuple) -> ArrayLike:
             count, _, residual = state
@@ -135,19 +135,21 @@ def _places_seen(
 
 
 @kept_jit
-def _pixels_of_places(
-    camera: Camera, paper: Paper, places_mm: Float[ArrayLike, "n 2"]
+def _pixels_of_sheet_points(
+    camera: Camera, paper: Paper, sheet_points_mm: Float[ArrayLike, "n 2"]
 ) -> Float[ArrayLike, "n 2"]:
-    def one(place: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
-        point = _world(paper, place)
+    def one(sheet_point: Float[ArrayLike, "2"]) -> Float[ArrayLike, "2"]:
+        point = _world(paper, sheet_point)
         return jnp.where(depth_mm(camera, point) > 0, project(camera, point), jnp.nan)
 
-    return jax.vmap(one)(places_mm)
+    return jax.vmap(one)(sheet_points_mm)
 
 
 @kept_jit
-def _points_of_places(paper: Paper, places_mm: Float[ArrayLike, "n 2"]) -> Float[ArrayLike, "n 3"]:
-    return jax.vmap(lambda place: _world(paper, place))(places_mm)
+def _world_of_sheet_points(
+    paper: Paper, sheet_points_mm: Float[ArrayLike, "n 2"]
+) -> Float[ArrayLike, "n 3"]:
+    return jax.vmap(lambda sheet_point: _world(paper, sheet_point))(sheet_points_mm)
 
 
 def _world(paper: Paper, place_mm: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
@@ -157,7 +159,7 @@ def _world(paper: Paper, place_mm: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3
 
 
 def _as_arrays(paper: Paper) -> Paper:
-    """The same with arrays for numbers, so that no other sheet compiles again."""
+    """The paper with arrays for numbers, so that other sheets need no new compilation."""
     return jax.tree.map(lambda leaf: np.asarray(leaf, dtype=np.float64), paper)
 
 

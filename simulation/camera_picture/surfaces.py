@@ -1,4 +1,4 @@
-"""How a sheet of paper lies: surfaces that touch Z = 0 at the origin of the world.
+"""Surfaces of a sheet of paper, which touch Z = 0 at the origin of the world.
 
 A place (X, Y) in mm on the paper, measured along it, goes to a point of the world. Paper bends
 and does not stretch, so that `RolledPaper` and `ConePaper` keep the length of every curve drawn on
@@ -19,10 +19,10 @@ from trinoc.numerics.precision import ArrayLike, ScalarLike
 
 @runtime_checkable
 class Surface(Protocol):
-    """Where the places of a sheet lie."""
+    """Interface of the surface on which a sheet lies."""
 
     def point_world_mm(self, place_mm: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
-        """The point of the world, in mm, at a place of the paper."""
+        """World point, in mm, of a point of the paper."""
         ...
 
 
@@ -127,7 +127,7 @@ class TwistedPaper(eqx.Module):
     reach_mm: ScalarLike = 75.0
 
     def point_world_mm(self, place_mm: Float[ArrayLike, "2"]) -> Float[ArrayLike, "3"]:
-        """The surface below, raised."""
+        """The surface below, with the twist's rise added."""
         rise = self.rise_mm * place_mm[0] * place_mm[1] / self.reach_mm**2
         return self.surface.point_world_mm(place_mm) + rise * jnp.array([0.0, 0.0, 1.0])
 
