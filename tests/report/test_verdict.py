@@ -71,7 +71,7 @@ def test_matches_of_a_rig_that_was_doubted_ask_for_care(matches: Matches, why: s
     assert verdict_of(matches=matches).level is Level.GOOD
     verdict = verdict_of(matches=matches, doubts={"upper": why})
     assert verdict.sentence == "Use these matches with care."
-    assert f"suspect. {why}".rstrip() in verdict.reason
+    assert f"SUSPECT. {why}".rstrip() in verdict.reason
 
 
 def test_residuals_beyond_noise_ask_for_care_and_then_are_bad(result: CalibrationResult) -> None:
