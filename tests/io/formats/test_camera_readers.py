@@ -316,7 +316,7 @@ def test_nerfstudio_s_cameras_look_back_along_z(tmp_path):
         np.testing.assert_allclose(-world_from_gl[:3, 2], pose_of(camera)[2, :3], atol=1e-12)
         points_gl = (CORNERS - world_from_gl[:3, 3]) @ world_from_gl[:3, :3]
         assert (points_gl[:, 2] < 0).all()
-        points_cam = points_cam * (1, -1, -1)  # to y down, z forward
+        points_cam = points_gl * (1, -1, -1)  # to y down, z forward
         matrix = np.array(
             [[frame["fl_x"], 0, frame["cx"]], [0, frame["fl_y"], frame["cy"]], [0, 0, 1]]
         )
