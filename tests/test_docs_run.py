@@ -45,7 +45,7 @@ PAGES = {path.name: path for path in (*sorted((ROOT / "docs").glob("*.md")), ROO
 NOT_RUN = {
     "pip install .": "installs; .ci/run does it",
     "trinoc watch shots --board sheet.json": "waits for pictures until Ctrl-C",
-    "trinoc watch left=0 right=1 --board board.json -o rig.json --report report.html": (
+    "trinoc watch left=0 right=1 --board chessboard.json -o rig.json --report report.html": (
         "takes cameras"
     ),
     "export TRINOC_DATA=DIR": "DIR is the reader's",
