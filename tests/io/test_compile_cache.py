@@ -162,9 +162,20 @@ def test_the_programs_of_the_last_run_are_listed_in_the_order_of_their_use(tmp_p
     assert len(list(FolderStore(tmp_path).last_used("calibrate"))) == 3
 
 
+def test_programs_of_another_version_are_not_listed(tmp_path, monkeypatch):
+    store = FolderStore(tmp_path)
+    store.put("a", b"program")
+    store.list_used("match")
+    assert list(FolderStore(tmp_path).last_used("match")) == [b"program"]
+    monkeypatch.setattr("trinoc.io.compile_cache.version", lambda name: "99")
+    assert not list(FolderStore(tmp_path).last_used("match"))
+
+
 @pytest.mark.parametrize("text", [b"", b"\xff\x00", b"../outside", b"a\nmissing", b"."])
 def test_a_damaged_list_of_programs_names_none(tmp_path, text):
-    (tmp_path / "outside").write_bytes(b"x" * 100)
+    # A complete program beside the folder: only its position makes it unusable.
+    FolderStore(tmp_path).put("a", b"program")
+    next(tmp_path.iterdir()).rename(tmp_path / "outside")
     folder = tmp_path / "cache"
     folder.mkdir()
     FolderStore(folder)._list("match").write_bytes(text)

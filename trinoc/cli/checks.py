@@ -24,7 +24,7 @@ def expect_options(call: inspect.BoundArguments) -> None:
     options, parameters = call.arguments, call.signature.parameters
     for name, value in options.items():
         _expect_numbers(name, value, parameters[name].default)
-    taken: dict[Path, str] = {}
+    option_of_output: dict[Path, str] = {}
     for name in _WRITTEN:
         path = options.get(name)
         if not isinstance(path, Path):
@@ -38,11 +38,12 @@ def expect_options(call: inspect.BoundArguments) -> None:
                 f"--{name} is {path}, which is an input and would be overwritten: give another "
                 "name."
             )
-        if output in taken:
+        if output in option_of_output:
             raise UsageError(
-                f"--{taken[output]} and --{name} are both {path}: give each output its own name."
+                f"--{option_of_output[output]} and --{name} are both {path}: give each output its "
+                "own name."
             )
-        taken[output] = name
+        option_of_output[output] = name
         if name == "report":
             _expect_report(path, force=options["job"].force)
 

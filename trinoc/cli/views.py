@@ -94,25 +94,25 @@ def _guess_names(files: Sequence[Path]) -> dict[str, Path]:
     )
 
 
-def _differing(words: Sequence[str]) -> list[str]:
-    """Parts in which names differ: the words without their common beginning and end.
+def _differing(names: Sequence[str]) -> list[str]:
+    """Parts in which names differ: the names without their common beginning and end.
 
     Words are cut only at separators such as "_".
     """
-    if len(words) == 1:
-        return list(words)
-    begin = _shared_parts(words)
-    rest = [word[len(begin) :] for word in words]
-    end = _shared_parts([word[::-1] for word in rest])
-    return [word[: len(word) - len(end)] for word in rest]
+    if len(names) == 1:
+        return list(names)
+    begin = _shared_parts(names)
+    rest = [name[len(begin) :] for name in names]
+    end = _shared_parts([name[::-1] for name in rest])
+    return [name[: len(name) - len(end)] for name in rest]
 
 
-def _shared_parts(words: Sequence[str]) -> str:
-    """Common beginning of all words, up to the last separator between parts.
+def _shared_parts(names: Sequence[str]) -> str:
+    """Common beginning of all names, up to the last separator between parts.
 
     For "sheet_left" and "sheet_low" it is "sheet_", not "sheet_l".
     """
-    shared = os.path.commonprefix(words)  # noqa: RUF071, letter by letter
+    shared = os.path.commonprefix(names)  # noqa: RUF071, letter by letter
     return shared[: max(shared.rfind(sign) for sign in _BETWEEN) + 1]
 
 

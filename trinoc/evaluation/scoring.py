@@ -64,12 +64,12 @@ def score_lengths(
         Both shares are 0 if there is no length. Samples are at most 0.5 mm apart.
     """
     if isinstance(truth, SegmentTruth):
-        shown = shown_parts_of_segments_mm(truth, views=views)
+        visible_parts = shown_parts_of_segments_mm(truth, views=views)
     else:
-        shown = shown_parts_mm(truth, views=views, grey_step=grey_step, kinds=kinds)
+        visible_parts = shown_parts_mm(truth, views=views, grey_step=grey_step, kinds=kinds)
     lines = np.asarray(lines_mm, dtype=np.float64).reshape(-1, 2, 3)
     line_lengths = measure_near_lengths(lines, truth.edges_mm, SAMPLE_STEP_MM)
-    true_lengths = measure_near_lengths(shown, lines, SAMPLE_STEP_MM)
+    true_lengths = measure_near_lengths(visible_parts, lines, SAMPLE_STEP_MM)
     return LengthScore(
         line_lengths.share_within(tolerance_mm),
         true_lengths.share_within(tolerance_mm),

@@ -260,7 +260,10 @@ class Pose(Value):
     def d_parameters_d_delta(
         self, model: PoseModel, unit_mm: ScalarLike, origin: "Pose"
     ) -> Float[ArrayLike, "p p"]:
-        """Jacobian (p, p) at this pose of `model_parameters` by the step `delta` of `retract`."""
+        """Derivative of `model_parameters` with respect to the step `delta` of `retract`, (p, p).
+
+        It is computed at this pose, for a step of 0.
+        """
         return jax.jacfwd(
             lambda delta: self.retract(delta, model, unit_mm).model_parameters(model, origin)
         )(jnp.zeros(model.size, jnp.asarray(self.cam_from_world).dtype))

@@ -170,7 +170,9 @@ def _forget_oldest(folder: Path) -> None:
     for status, file in sorted(files, key=lambda pair: pair[0].st_mtime):
         if size <= MOST_BYTES:
             break
-        Path(file).unlink(missing_ok=True)
+        # On Windows, another process may have it open.
+        with contextlib.suppress(OSError):
+            os.unlink(file)
         size -= status.st_size
 
 
@@ -230,15 +232,19 @@ class FolderStore:
         """Write the list of the programs that this run has read or stored, for `last_used`."""
         if self._used:
             with contextlib.suppress(OSError, InputError), atomic_write(self._list(task)) as file:
-                file.write("\n".join(path.name for path in self._used).encode())
+                file.write("\n".join(path.name for path in tuple(self._used)).encode())
 
     def _list(self, task: str) -> Path:
-        return self._folder / f"trinoc-used-by-{task}"
+        # A program of another version or processor must not even be loaded.
+        return self._folder / f"trinoc-used-by-{task}-{self._environment()}"
+
+    def _environment(self) -> str:
+        """Return `surroundings()`, computed once: it costs some hundredths of a second."""
+        self._surroundings = self._surroundings or surroundings()
+        return self._surroundings
 
     def _place(self, name: str, modules: frozenset[str]) -> Path:
-        # Only where a program is wanted: it costs some hundredths of a second.
-        self._surroundings = self._surroundings or surroundings()
-        key = f"{self._surroundings} {digest_sources(modules)} {name}"
+        key = f"{self._environment()} {digest_sources(modules)} {name}"
         digest = hashlib.sha256(key.encode()).hexdigest()
         return self._folder / f"trinoc-{digest}"
 

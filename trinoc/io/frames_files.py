@@ -66,7 +66,7 @@ def save_frames(
 def load_frames(path: str | os.PathLike[str]) -> list[FrameMatches]:
     """Read the results of the frames from a file of `save_frames`.
 
-    Raise `InputError` for another file, and for values that no matching produces.
+    Raise `InputError` for another file, and for values that `match_segments` cannot produce.
     """
     if Path(path).suffix == ".parquet":
         frames = build_table(Frames, ArrayFields(_read_parquet(Path(path)), path))

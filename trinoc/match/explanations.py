@@ -61,9 +61,9 @@ def _turn_views(frame: FrameInput) -> Iterator[Mistake]:
 
 
 def _resize_views(frame: FrameInput) -> Iterator[Mistake]:
-    """Yield the mistake of images with half or twice the size that the rig states.
+    """Yield possible mistakes: images with half or twice the size that the rig states.
 
-    Either one image has the wrong size, or all images have it.
+    First one image with the wrong size, for each view; then all images with the wrong size.
     """
     for scale, size in ((2.0, "half"), (0.5, "twice")):
         all_resized = frame

@@ -325,9 +325,9 @@ def prefetch_programs(contents: Iterable[bytes]) -> Iterator[None]:
     from jax.experimental import serialize_executable  # noqa: F401
 
     thread = ThreadPoolExecutor(1, thread_name_prefix="trinoc-prefetch")
-    for content in contents:
-        _prefetched[content] = thread.submit(_load_executable, content)
     try:
+        for content in contents:
+            _prefetched[content] = thread.submit(_load_executable, content)
         yield
     finally:
         # After an early error nobody waits for the rest.

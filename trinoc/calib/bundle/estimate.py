@@ -178,7 +178,9 @@ def squared_distances_with_rig(
 
 
 def _pad_tracks(lines: LineObservations) -> tuple[FragmentTable, Float[np.ndarray, "t 2 3"]]:
-    """Fragments and initial lines of all tracks. The number of tracks is padded, so that compiled
+    """Return the fragments and the initial lines (t, 2, 3), mm, of all tracks.
+
+    Tracks that no view observes are appended up to one of a few numbers t, so that compiled
     programs are reused.
     """
     is_observed = lines.seen[:, :, None, None]

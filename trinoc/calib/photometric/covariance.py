@@ -95,14 +95,14 @@ def elimination_matrix(
     -------
     (k, p) matrix. The rows of the pose and of fixed unknowns are 0.
     """
-    rest = np.flatnonzero(free)[pose_size:]
-    inner = matrix[np.ix_(rest, rest)]
+    image_parameters = np.flatnonzero(free)[pose_size:]
+    inner = matrix[np.ix_(image_parameters, image_parameters)]
     scale = 1 / np.sqrt(np.maximum(np.diag(inner), 1e-300))
     scaled = inner * scale[:, None] * scale
     elimination = np.zeros((len(matrix), pose_size))
     if np.isfinite(scaled).all():
-        side = scale[:, None] * matrix[rest, :pose_size]
-        elimination[rest] = scale[:, None] * np.linalg.lstsq(scaled, side)[0]
+        side = scale[:, None] * matrix[image_parameters, :pose_size]
+        elimination[image_parameters] = scale[:, None] * np.linalg.lstsq(scaled, side)[0]
     return elimination
 
 

@@ -129,10 +129,12 @@ def _lens(camera: ColmapCamera, where: str) -> Intrinsics:
         )
     if min(camera.size) < 1:
         raise InputError(f"{where} has a camera without pixels: correct its size.")
-    focal, rest = (parameters[:focals] * 2)[:2], parameters[focals:]
-    if len(rest) < 2:
-        focal, rest = [1.0, 1.0], [0.0, 0.0]  # of a model that is not known, and refused below
-    numbers = LensNumbers(camera.model, (focal[0], focal[1]), (rest[0], rest[1]), 0.0, rest[2:])
+    focal, others = (parameters[:focals] * 2)[:2], parameters[focals:]
+    if len(others) < 2:
+        focal, others = [1.0, 1.0], [0.0, 0.0]  # of a model that is not known, and refused below
+    numbers = LensNumbers(
+        camera.model, (focal[0], focal[1]), (others[0], others[1]), 0.0, others[2:]
+    )
     return make_lens(numbers, camera.size, ROWS, where, origin_px=HALF_PX)
 
 
